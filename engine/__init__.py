@@ -1,0 +1,1 @@
+"""Wattlane's engine: scenario → world → orders → dispatch → plan → traffic → step → energy → log."""

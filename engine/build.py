@@ -1,0 +1,232 @@
+"""The one place that knows every registry: from a scenario to a simulation.
+
+Registries hold lazy strings, so that naming what exists imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from engine.energy import parameter_sets
+from engine.errors import ScenarioError, unknown_name
+from engine.scenario import Scenario, load, parse, start_places
+from engine.units import MJ_PER_J
+from engine.world import World, build_world
+
+PLANNERS: dict[str, str] = {
+    "prioritized": "engine.planners.prioritized:Prioritized",
+    "quickest": "engine.planners.quickest:Quickest",
+}
+DISPATCHERS: dict[str, str] = {
+    "nearest": "engine.dispatch.nearest:Nearest",
+}
+CHARGING: dict[str, str] = {
+    "levels": "engine.dispatch.levels:Levels",
+}
+DEMAND: dict[str, str] = {
+    "xu2025": "engine.energy.xu2025:Xu2025",
+    "constant": "engine.energy.constant:Constant",
+}
+BATTERIES: dict[str, str] = {
+    "coulomb": "engine.energy.battery:coulomb",
+    "linear": "engine.energy.battery:linear",
+}
+
+
+def find(registry: Mapping[str, str], what: str, name: str) -> Any:
+    """The object that a registry names. Raises ScenarioError with the nearest name."""
+    if name not in registry:
+        raise ScenarioError(unknown_name(what, name, registry))
+    module, _, attribute = registry[name].partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def demand_model(name: str, scenario: Scenario) -> Any:
+    """A demand model with the scenario's parameters. Raises ScenarioError."""
+    from engine.energy import parameters_over
+
+    cls = find(DEMAND, "demand model", name)
+    given = scenario.energy.parameters if name == scenario.energy.demand else {}
+    if name == "constant":
+        numbers = parameters_over(parameter_sets.constant(), given, name)
+        return cls(running_w=scenario.battery.capacity_wh * 3600 * numbers["percent_per_s"] / 100)
+    return cls(**parameters_over(parameter_sets.xu2025(scenario.motion.speed_mps), given, name))
+
+
+def costs_of(scenario: Scenario, world: World, demand: str | None = None) -> Any:
+    """The integer cost table of a scenario's fleet (one vehicle class)."""
+    from engine.energy import cost_table
+
+    model = demand_model(demand or scenario.energy.demand, scenario)
+    masses = [(scenario.fleet.mass_kg, scenario.fleet.payload_kg)]
+    return cost_table(world.graph.primitives, model, masses, scenario.time.tick_s)
+
+
+def planner_of(name: str, scenario: Scenario) -> Any:
+    """A planner with the scenario's parameters. Raises ScenarioError."""
+    from dataclasses import fields
+
+    from engine.planners.base import configured
+
+    cls = find(PLANNERS, "planner", name)
+    parameters = dict(scenario.planner.parameters) if name == scenario.planner.name else {}
+    if "objective" in {f.name for f in fields(cls)}:
+        parameters.setdefault("objective", scenario.planner.objective)
+    chosen = configured(cls, parameters)
+    if hasattr(cls, "route"):
+        from engine.traffic.timer import Timed
+
+        return Timed(chosen)
+    return chosen
+
+
+def build(
+    scenario: Scenario | str,
+    *,
+    seed: int | None = None,
+    recorder: Any = None,
+    planner: str | None = None,
+    clock_ns: Callable[[], int] = lambda: 0,
+) -> Any:
+    """A simulation at tick 0. Raises ScenarioError when the scenario can't be built."""
+    from engine.sim.simulation import Simulation
+
+    if isinstance(scenario, str):
+        scenario = load(scenario)
+    changes: dict[str, Any] = {} if seed is None else {"seed": seed}
+    if planner is not None and planner != scenario.planner.name:
+        changes["planner.name"] = planner
+    if changes:
+        scenario = parse(scenario.to_toml(), scenario.name, changes)
+    return Simulation(parts_of(scenario), recorder, clock_ns)
+
+
+def parts_of(scenario: Scenario) -> Any:
+    """Everything that a simulation of a scenario is made of. One seed sequence, split per consumer."""
+    from engine.planners.search import FloorSearch
+    from engine.sim.faults import Faults
+    from engine.sim.simulation import Parts
+
+    world = build_world(scenario)
+    costs = costs_of(scenario, world)
+    tick_s = scenario.time.tick_s
+    streams = np.random.SeedSequence(scenario.seed).spawn(4)
+    orders, batteries, planning, faults = streams
+    battery = find(BATTERIES, "battery model", scenario.battery.model)(
+        scenario.battery.capacity_wh, scenario.battery.voltage_v
+    )
+    soc = scenario.battery.initial_soc
+    low, high = (soc, soc) if isinstance(soc, float) else soc
+    charging = find(CHARGING, "charging policy", scenario.charging.policy)()
+    return Parts(
+        scenario=scenario,
+        world=world,
+        seed=scenario.seed,
+        costs=costs,
+        search=FloorSearch(world.graph, costs),
+        battery=battery,
+        power_mj=charger_mj(scenario),
+        planner=planner_of(scenario.planner.name, scenario),
+        planner_rng=np.random.default_rng(planning),
+        dispatcher=find(DISPATCHERS, "dispatcher", scenario.dispatch.policy)(charging),
+        charging=charging,
+        source=source_of(scenario, world, np.random.default_rng(orders)),
+        faults=Faults(
+            faults,
+            scenario.fleet.count,
+            scenario.faults.breakdowns_per_vehicle_day,
+            round(scenario.faults.repair_s / tick_s),
+            tick_s,
+        ),
+        start=start_places(scenario, world),
+        initial_soc=np.random.default_rng(batteries).uniform(low, high, scenario.fleet.count),
+    )
+
+
+def charger_mj(scenario: Scenario) -> tuple[int, int]:
+    """Energy per tick that a charger draws from the mains, and that reaches the battery, in mJ."""
+    tick_s, charger = scenario.time.tick_s, scenario.charger
+    if charger.rate_percent_per_s is not None:
+        net = scenario.battery.capacity_wh * 3600 * charger.rate_percent_per_s / 100 * tick_s * MJ_PER_J
+        return round(net), round(net)
+    gross = charger.power_w * tick_s * MJ_PER_J
+    return round(gross), round(gross * charger.efficiency)
+
+
+def source_of(scenario: Scenario, world: World, rng: np.random.Generator) -> Any:
+    """The scenario's source of orders. Raises ScenarioError for unknown stations."""
+    from engine.orders.sources import Listed, Poisson
+
+    orders = scenario.orders
+    if orders.source == "listed":
+        for a, b in orders.pairs:
+            world.station(a), world.station(b)
+        return Listed(orders.pairs)
+    mix = []
+    for item in orders.mix:
+        kinds = [[s.number for s in world.stations_of(kind)] for kind in (item.from_, item.to)]
+        for kind, found in zip((item.from_, item.to), kinds, strict=True):
+            if not found:
+                raise ScenarioError(f"orders.mix: the floor has no station of kind {kind!r}")
+        mix.append((kinds[0], kinds[1], item.weight))
+    return Poisson(rng, orders.rate_per_h, mix, scenario.time.tick_s, orders.limit)
+
+
+def resume(folder: Path, *, recorder: Any = None, clock_ns: Callable[[], int] = lambda: 0) -> Any:
+    """The simulation of a checkpoint, at its tick. Its recorder must hold exactly the checkpoint's rows.
+
+    Raises RunError when the checkpoint is damaged or of another version of the code.
+    """
+    from engine.sim import checkpoint
+    from engine.sim.simulation import Simulation
+
+    plain = checkpoint.read_plain(folder)
+    sim = Simulation(parts_of(parse(plain["scenario"], source=f"checkpoint {folder.name}")), None, clock_ns)
+    checkpoint.restore(sim, folder, plain)
+    sim.ledger.recorder = recorder
+    return sim
+
+
+def replay(sim: Any, commands: Sequence[tuple[int, int, Mapping[str, Any]]], until: int | None = None) -> None:
+    """Give a resumed simulation the commands (tick, number, command) that its checkpoint has not seen yet.
+
+    It is advanced to each command's tick, and at last to `until` when given.
+    """
+    for tick, number, command in sorted(commands, key=lambda row: row[1]):
+        if number < sim.commands or (until is not None and tick > until):
+            continue
+        sim.advance(tick - sim.tick)
+        sim.submit(command)
+    if until is not None:
+        sim.advance(until - sim.tick)
+
+
+def swap(
+    sim: Any, *, planner: str | None = None, seed: int | None = None, overrides: Mapping[str, Any] | None = None
+) -> Scenario:
+    """Go on with another planner, seed or parameters from the present tick; returns the changed scenario.
+
+    Motions already committed finish first; a new planner starts from `init`, new orders come from the new seed. Raises
+    ScenarioError when a change needs a new run (floor, fleet, time, battery …).
+    """
+    changes: dict[str, Any] = dict(overrides or {})
+    if planner is not None:
+        changes["planner.name"] = planner
+    if seed is not None:
+        changes["seed"] = seed
+    old: Scenario = sim.scenario
+    new = parse(old.to_toml(), "the fork", changes)
+    fixed = ("time", "floor", "motion", "service", "fleet", "energy", "battery", "charger", "log", "name")
+    for section in fixed:
+        if getattr(new, section) != getattr(old, section):
+            raise ScenarioError(f"a fork can't change {section!r}: what is on the floor already depends on it")
+    parts = parts_of(new)
+    parts.source.start_at(sim.tick)
+    same_orders = new.orders == old.orders and new.seed == old.seed
+    sim.become(parts, keep_orders=same_orders, keep_faults=new.faults == old.faults and new.seed == old.seed)
+    return new

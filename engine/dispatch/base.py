@@ -1,0 +1,110 @@
+"""The contracts of dispatchers and charging policies, and what they are shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.orders.book import OrderBook
+from engine.planners.base import Search
+from engine.types import NONE
+
+
+@dataclass(slots=True)
+class FloorView:
+    """Read-only aliases of what dispatchers may know; made once per run, `tick` apart.
+
+    state, soc: (V,) · free: vehicles without an order that may take one · home: (V,) place where a vehicle's plan
+    ends · holder: (P,) vehicle whose plan ends at a place, or -1 · rests: rest places in working order.
+    """
+
+    tick: int
+    tick_s: float
+    search: Search
+    orders: OrderBook
+    at: NDArray[np.int32]  # (V,) motion state from which a new plan would start
+    charge_mj: NDArray[np.int64]  # (V,) energy left at the present voltage
+    capacity_mj: NDArray[np.int64]
+    home: NDArray[np.int32]
+    holder: NDArray[np.int32]
+    is_charger: NDArray[np.uint8]  # (P,) a working charger
+    is_rest: NDArray[np.uint8]  # (P,) a place where a vehicle may stand for good
+    rests: NDArray[np.int32]
+    xy: NDArray[np.float32]
+    heaviest: float  # loaded mass over empty mass
+    standby_mj: int
+    service_ticks: tuple[int, int]
+    levels: dict[str, float]
+    must_charge: NDArray[np.uint8]  # (V,) below `good` and not yet back at `sufficient`
+    blocked: NDArray[np.uint8]
+
+    def soc(self, vehicle: int) -> float:
+        """State of charge of a vehicle, 0 to 1."""
+        return float(self.charge_mj[vehicle] / self.capacity_mj[vehicle])
+
+    def need_mj(self, state: int, goal: int, loaded: bool) -> int:
+        """Energy of the quickest way to a place, with a start for every stop and the load; an estimate from above."""
+        ticks, mj = self.search.ticks_to(goal, state), self.search.energy_to(goal, state)
+        return int((mj - ticks * self.standby_mj) * (self.heaviest if loaded else 1.0)) + ticks * self.standby_mj
+
+    def nearest_rest(self, vehicle: int, place: int, chargers_only: bool, count: int = 3) -> list[int]:
+        """The nearest free rest places by distance as the crow flies; the vehicle's own counts as free."""
+        rests = self.rests
+        taken = self.holder[rests]
+        ok = ((taken == NONE) | (taken == vehicle)) & (self.blocked[rests] == 0)
+        if chargers_only:
+            ok &= self.is_charger[rests] == 1
+        some = rests[ok]
+        if len(some) == 0:
+            return []
+        away = np.abs(self.xy[some] - self.xy[place]).sum(axis=1)
+        return [int(some[i]) for i in np.argsort(away, kind="stable")[:count]]
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """An order for a vehicle, and where the vehicle rests afterwards (candidates, best first)."""
+
+    order: int
+    vehicle: int
+    rests: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why an order is not given to anybody now."""
+
+    order: int
+    reason: str
+
+
+class Dispatcher(Protocol):
+    """Gives open orders to free vehicles."""
+
+    def assign(self, view: FloorView, free: list[int]) -> tuple[list[Assignment], list[Refusal]]:
+        """Assignments, at most one per vehicle, and a refusal for every open order that it looked at in vain."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Send a vehicle without an order to a rest place (candidates, best first)."""
+
+    vehicle: int
+    rests: tuple[int, ...]
+    to_charge: bool
+
+
+class ChargingPolicy(Protocol):
+    """Says when a vehicle must charge, where it rests after an order, and who moves to a charger now."""
+
+    def rests_after(self, view: FloorView, vehicle: int, place: int, mj_left: int) -> list[int]:
+        """Where a vehicle may go from a place with so much energy left; empty when there is nowhere."""
+        ...
+
+    def moves(self, view: FloorView, idle: list[int]) -> tuple[list[Move], list[int]]:
+        """Moves of idle vehicles, and the vehicles that queue for a charger, first come first."""
+        ...

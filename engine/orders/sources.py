@@ -1,0 +1,125 @@
+"""Where orders come from: listed pairs, or Poisson arrivals between kinds of stations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from engine.types import FOREVER
+
+
+class OrderSource(Protocol):
+    """Yields orders as (tick, from station, to station), in the order of their ticks."""
+
+    @property
+    def next_tick(self) -> int:
+        """Tick of the next order; FOREVER when there is none to come."""
+        ...
+
+    def take(self) -> tuple[int, int, int]:
+        """The next order."""
+        ...
+
+    def set_rate(self, per_h: float, tick: int) -> str:
+        """Change the mean rate from a tick on; returns why not, or an empty string."""
+        ...
+
+    def start_at(self, tick: int) -> None:
+        """Let the first order come after a tick."""
+        ...
+
+    def to_plain(self) -> dict[str, Any]:
+        """Plain values for a checkpoint."""
+        ...
+
+    def restore(self, plain: Mapping[str, Any]) -> None:
+        """Undo `to_plain`."""
+        ...
+
+
+class Listed:
+    """Pairs of station numbers, all known at tick 0."""
+
+    def __init__(self, pairs: Sequence[tuple[int, int]]):
+        self._pairs = tuple(pairs)
+        self._at = 0
+
+    @property
+    def next_tick(self) -> int:
+        return 0 if self._at < len(self._pairs) else FOREVER
+
+    def take(self) -> tuple[int, int, int]:
+        a, b = self._pairs[self._at]
+        self._at += 1
+        return 0, a, b
+
+    def set_rate(self, per_h: float, tick: int) -> str:
+        return "the orders of this scenario are listed; there is no rate to change"
+
+    def start_at(self, tick: int) -> None:
+        self._at = len(self._pairs) if tick > 0 else 0
+
+    def to_plain(self) -> dict[str, Any]:
+        return {"at": self._at}
+
+    def restore(self, plain: Mapping[str, Any]) -> None:
+        self._at = int(plain["at"])
+
+
+class Poisson:
+    """Arrivals with exponential gaps between kinds of stations.
+
+    mix: rows of (stations to come from, stations to go to, weight) · limit: number of orders, or None.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        rate_per_h: float,
+        mix: Sequence[tuple[Sequence[int], Sequence[int], float]],
+        tick_s: float,
+        limit: int | None,
+    ):
+        self._rng, self._mix, self._tick_s = rng, mix, tick_s
+        self._rate, self._left = rate_per_h, limit
+        weights = np.array([w for _, _, w in mix])
+        self._bounds = np.cumsum(weights / weights.sum())
+        self._time = 0.0
+        self._draw_gap()
+
+    def _draw_gap(self) -> None:
+        gap = self._rng.exponential(3600.0 / self._rate / self._tick_s) if self._rate > 0 else float(FOREVER)
+        self._time = min(self._time + gap, float(FOREVER))
+
+    @property
+    def next_tick(self) -> int:
+        return FOREVER if self._left == 0 else int(self._time)
+
+    def take(self) -> tuple[int, int, int]:
+        tick = int(self._time)
+        row = min(int(np.searchsorted(self._bounds, self._rng.random(), side="right")), len(self._mix) - 1)
+        sources, targets, _ = self._mix[row]
+        a = sources[int(self._rng.integers(len(sources)))]
+        b = targets[int(self._rng.integers(len(targets)))]
+        if self._left is not None:
+            self._left -= 1
+        self._draw_gap()
+        return tick, a, b
+
+    def set_rate(self, per_h: float, tick: int) -> str:
+        self._rate = per_h
+        self.start_at(tick)
+        return ""
+
+    def start_at(self, tick: int) -> None:
+        self._time = float(tick)
+        self._draw_gap()
+
+    def to_plain(self) -> dict[str, Any]:
+        return {"rng": self._rng.bit_generator.state, "rate": self._rate, "left": self._left, "time": self._time}
+
+    def restore(self, plain: Mapping[str, Any]) -> None:
+        self._rng.bit_generator.state = plain["rng"]
+        self._rate, self._left, self._time = plain["rate"], plain["left"], plain["time"]

@@ -1,0 +1,203 @@
+"""The contracts of planners and routers: what they are asked, what they see, what they answer.
+
+A planner is a frozen value whose fields are its parameters. `init` makes its memory (named arrays and plain values);
+`plan` reads a View and returns a Plan and the memory. It never writes what it is shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.energy import CostTable
+from engine.traffic import Claims
+from engine.types import Activity, Occupancy, PlanStatus
+from engine.world.motion_graph import MotionGraph
+
+I32 = NDArray[np.int32]
+Memory = dict[str, Any]
+"""Named arrays and plain values that a planner keeps from call to call; saved in checkpoints without pickle."""
+
+
+NO_WAY = 2**21
+"""Ticks that stand for 'unreachable'."""
+
+
+class Rows(Protocol):
+    """Backward tables: row `slot(goal)` of `pool` holds the cost of every pose (or state) to a goal place."""
+
+    costs: NDArray[np.int64]
+    pool: NDArray[np.int64]
+
+    def slot(self, goal: int, keep: frozenset[int] | set[int] = frozenset()) -> int:
+        """Row of a goal, computed when absent."""
+        ...
+
+
+class Search(Protocol):
+    """What a run shares among its deciders: exact costs on the empty floor, and one vehicle's search among all."""
+
+    graph: MotionGraph
+
+    @property
+    def time(self) -> Rows:
+        """Tables by time over poses."""
+        ...
+
+    def ticks_to(self, goal: int, state: int) -> int:
+        """Ticks from a state to a place on an empty floor; at least NO_WAY when there is no way."""
+        ...
+
+    def energy_to(self, goal: int, state: int) -> int:
+        """mJ of that way for the least class, empty and rolling, standby included."""
+        ...
+
+    def through(self, view: View, objective: str, budget: Budget) -> Plan:
+        """The best plan for the view's request against its reservations, by `time` or `energy`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One goal of a request: a place, and how long the vehicle stays there (the last stay is forever)."""
+
+    place: int
+    stay_ticks: int
+    what: Activity
+    loaded: bool  # while driving to it
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Plan for one vehicle from a motion state at a tick through all legs.
+
+    gap: the claim behind which the vehicle stands (its own claims are not in the table) · cls: vehicle class.
+    """
+
+    vehicle: int
+    state: int
+    gap: int
+    tick: int
+    cls: int
+    legs: tuple[Leg, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What a planner may read: aliases of the simulation's arrays, not to be kept or written."""
+
+    graph: MotionGraph
+    occupancy: Occupancy
+    margin_ticks: int
+    costs: CostTable
+    claims: Claims
+    blocked: NDArray[np.uint8]  # (P,) of the overlay
+    blocked_version: int
+    search: Search  # backward tables and search space, shared by a run
+    request: Request
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Timed motions of one vehicle: (n,) edges (-2 for a stay), Activity of stays, start and end ticks.
+
+    energy_mj: standby included · bound: proven lower bound of the objective, or None.
+    """
+
+    status: PlanStatus
+    edges: I32
+    what: NDArray[np.int8]
+    starts: I32
+    ends: I32
+    energy_mj: int = 0
+    expanded: int = 0
+    note: str = ""
+
+    @property
+    def found(self) -> bool:
+        return self.status in (PlanStatus.SOLVED, PlanStatus.BOUNDED)
+
+
+def no_plan(status: PlanStatus, expanded: int = 0, note: str = "") -> Plan:
+    """An answer without motions."""
+    none = np.zeros(0, np.int32)
+    return Plan(status, none, np.zeros(0, np.int8), none, none, 0, expanded, note)
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """How much work one call may do."""
+
+    expansions: int = 2_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """What a planner serves and guarantees; menus offer only what fits."""
+
+    summary: str
+    legal: bool = True
+    complete: bool = False
+    optimal: str = ""
+    occupancies: frozenset[Occupancy] = frozenset(Occupancy)
+    objectives: tuple[str, ...] = ("time",)
+    mode: frozenset[str] = frozenset({"lifelong"})
+
+
+class Planner(Protocol):
+    """Decides where and when."""
+
+    promise: Promise
+
+    def init(self, graph: MotionGraph, costs: CostTable, rng: np.random.Generator) -> Memory:
+        """Memory for a run."""
+        ...
+
+    def plan(self, view: View, memory: Memory, budget: Budget) -> tuple[Plan, Memory]:
+        """Answer the view's request."""
+        ...
+
+
+class Router(Protocol):
+    """Decides where, not when: the shared timer of `traffic` schedules its routes."""
+
+    promise: Promise
+
+    def init(self, graph: MotionGraph, costs: CostTable, rng: np.random.Generator) -> Memory:
+        """Memory for a run."""
+        ...
+
+    def route(self, view: View, memory: Memory) -> tuple[Sequence[I32], Memory]:
+        """For every leg of the view's request the edges from the previous goal, or an empty sequence for no way."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A field of a planner that a person may set."""
+
+    name: str
+    kind: type
+    default: object
+    choices: tuple[str, ...] = ()
+    help: str = ""
+
+
+def configured(cls: type, parameters: Mapping[str, object]) -> Any:
+    """An instance of a frozen planner dataclass with these parameters. Raises ScenarioError on unknown names."""
+    from dataclasses import fields
+
+    from engine.errors import ScenarioError, unknown_name
+
+    known = {f.name: f for f in fields(cls)}
+    for name in parameters:
+        if name not in known:
+            raise ScenarioError(unknown_name(f"parameter of {cls.__name__}", name, known))
+    try:
+        return cls(**parameters)
+    except (TypeError, ValueError) as why:
+        raise ScenarioError(f"{cls.__name__}: {why}") from why

@@ -1,0 +1,369 @@
+"""Does the floor work, and does the scenario fit it? Every finding names the place, its cell and its station.
+
+Well-formed (Čáp et al. 2015): between any two endpoints there is a path that avoids all other endpoints, so vehicles
+that rest on endpoints never cut each other off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.energy.demand import DemandModel, parameters_over
+from engine.errors import ScenarioError
+from engine.scenario.model import Scenario
+from engine.types import NONE, StationKind
+from engine.units import J_PER_WH
+from engine.world.floor import Station, World
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+NAMED = 5
+"""So many places are named per check; the rest is counted."""
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One answer of one check; `place` is where it is about, when it is about one."""
+
+    level: Literal["error", "warning", "ok"]
+    check: str
+    text: str
+    place: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One way between two endpoints: time-optimal, fewest turns among those."""
+
+    start: int
+    end: int
+    edges: tuple[int, ...]
+    loaded: bool
+
+
+def check(scenario: Scenario, world: World, demand: DemandModel | None = None) -> list[Finding]:
+    """Everything worth knowing before a run, in a fixed order; at least one finding per check.
+
+    demand: the model that turns motion into energy; without it, the scenario's own when it is `xu2025` or `constant`.
+    """
+    graph = place_graph(world)
+    main = _main_component(graph, world)
+    findings = [*_reachable(world, graph, main), *_well_formed(world)]
+    findings += [*_rest_places(scenario, world), *_starts(scenario, world, main), *_speed(scenario)]
+    if any(f.level == "error" and f.check in ("reachable", "one-way") for f in findings):
+        text = "not checked: stations or chargers can't be reached"
+        return [*findings, Finding("warning", "battery", text)]
+    return [*findings, *_battery(scenario, world, demand)]
+
+
+def require(scenario: Scenario, world: World, demand: DemandModel | None = None) -> list[Finding]:
+    """The findings of `check`; raises ScenarioError with one line per error when there is any."""
+    findings = check(scenario, world, demand)
+    errors = [f for f in findings if f.level == "error"]
+    if errors:
+        raise ScenarioError("\n".join(f"{scenario.name}: {f.check}: {f.text}" for f in errors))
+    return findings
+
+
+def place_graph(world: World) -> nx.DiGraph[int]:
+    """Directed graph of places: an arc where some motion leads from one place to another."""
+    import networkx as nx
+
+    graph: nx.DiGraph[int] = nx.DiGraph()
+    graph.add_nodes_from(range(world.n_places))
+    graph.add_edges_from(_arcs(world).tolist())
+    return graph
+
+
+def is_well_formed(world: World) -> bool:
+    """True when between any two endpoints there is a path that avoids all other endpoints. Exact."""
+    return not ill_formed_pairs(world, 1)
+
+
+def ill_formed_pairs(world: World, limit: int | None = None) -> list[tuple[int, int]]:
+    """Ordered pairs of endpoint places (a, b) without a path from a to b that avoids all other endpoints.
+
+    Fast when the aisles are strongly connected and every endpoint is attached to them both ways; else pair by pair.
+    """
+    import networkx as nx
+
+    graph = place_graph(world)
+    ends = np.flatnonzero(world.endpoint).tolist()
+    aisles = graph.subgraph(np.flatnonzero(~world.endpoint).tolist())
+    attached = all(any(n in aisles for n in graph.succ[e]) and any(n in aisles for n in graph.pred[e]) for e in ends)
+    if attached and len(aisles) and nx.is_strongly_connected(aisles):
+        return []
+    pairs: list[tuple[int, int]] = []
+    for a in ends:
+        reached: set[int] = set()
+        for first in graph.succ[a]:
+            if first in aisles and first not in reached:
+                reached |= {first, *nx.descendants(aisles, first)}
+        for b in ends:
+            if a != b and not graph.has_edge(a, b) and not any(n in reached for n in graph.pred[b]):
+                pairs.append((a, b))
+                if len(pairs) == limit:
+                    return pairs
+    return pairs
+
+
+def _arcs(world: World) -> NDArray[np.int64]:
+    """(A, 2) distinct pairs of different places joined by a motion, sorted."""
+    graph = world.graph
+    arcs = np.stack([graph.state_place[graph.edge_from], graph.state_place[graph.edge_to]], 1).astype(np.int64)
+    return np.unique(arcs[arcs[:, 0] != arcs[:, 1]], axis=0)
+
+
+def _main_component(graph: nx.DiGraph[int], world: World) -> set[int]:
+    """The strongly connected component with most endpoints, then most places, then the lowest place."""
+    import networkx as nx
+
+    endpoint = world.endpoint
+    return max(nx.strongly_connected_components(graph), key=lambda c: (int(endpoint[list(c)].sum()), len(c), -min(c)))
+
+
+def _reachable(world: World, graph: nx.DiGraph[int], main: set[int]) -> Iterator[Finding]:
+    import networkx as nx
+
+    core = min(main)
+    after, before = nx.descendants(graph, core) | {core}, nx.ancestors(graph, core) | {core}
+    problems: list[Finding] = []
+    traps: list[int] = []
+    unreachable: list[int] = []
+    for place in range(world.n_places):
+        if place in main:
+            continue
+        name = world.place_name(place)
+        if not world.endpoint[place]:
+            (traps if place in after else unreachable).append(place)
+        elif world.access[place] == NONE:
+            problems.append(Finding("error", "reachable", f"{name} has no aisle cell beside it", place))
+        elif place in after:
+            problems.append(Finding("error", "one-way", f"{name} can be entered, but has no way back", place))
+        elif place in before:
+            problems.append(Finding("error", "one-way", f"{name} can be left, but has no way to it", place))
+        else:
+            problems.append(Finding("error", "reachable", f"{name} is cut off from the rest of the floor", place))
+    yield from problems[:NAMED]
+    if len(problems) > NAMED:
+        yield Finding("error", problems[NAMED].check, f"and {len(problems) - NAMED} more endpoints")
+    if traps:
+        text = f"{_listed(world, traps)} can be entered, but the one-way rules leave no way back"
+        yield Finding("error", "one-way", text, traps[0])
+    if unreachable:
+        text = f"{_listed(world, unreachable)} can't be reached from the rest of the floor"
+        yield Finding("warning", "one-way", text, unreachable[0])
+    if not problems:
+        count = int(world.endpoint.sum())
+        yield Finding("ok", "reachable", f"each of {count} stations, chargers and parking bays can be reached and left")
+    if not (problems or traps or unreachable):
+        yield Finding("ok", "one-way", f"each of {world.n_places} places can be reached from every other")
+
+
+def _listed(world: World, places: list[int]) -> str:
+    names = ", ".join(world.place_name(p) for p in places[:NAMED])
+    return names if len(places) <= NAMED else f"{names} and {len(places) - NAMED} more"
+
+
+def _well_formed(world: World) -> Iterator[Finding]:
+    pairs = ill_formed_pairs(world, 2)
+    for a, b in pairs:
+        text = f"every path from {world.place_name(a)} to {world.place_name(b)} leads through other endpoints"
+        yield Finding("error", "well-formed", text, a)
+    if not pairs:
+        yield Finding("ok", "well-formed", "between any two endpoints there is a path that avoids all others")
+
+
+def _rest_places(scenario: Scenario, world: World) -> Iterator[Finding]:
+    chargers, parking, fleet = len(world.chargers), len(world.parking), scenario.fleet.count
+    have = f"{chargers} chargers and {parking} parking bays"
+    if chargers + parking < fleet:
+        yield Finding("error", "rest places", f"{have} for {fleet} vehicles; each vehicle needs a place to rest")
+    else:
+        yield Finding("ok", "rest places", f"{have} for {fleet} vehicles")
+    if not chargers:
+        yield Finding("warning", "rest places", "the floor has no charger: an empty battery stays empty")
+
+
+def _starts(scenario: Scenario, world: World, main: set[int]) -> Iterator[Finding]:
+    start = scenario.fleet.start
+    if isinstance(start, str):
+        return
+    for vehicle, (x, y) in enumerate(start):
+        place = world.place_at(x, y)
+        if place not in main:
+            text = f"vehicle {vehicle} starts at {world.place_name(place)}, from where not every station can be reached"
+            yield Finding("error", "start", text, place)
+
+
+def _speed(scenario: Scenario) -> Iterator[Finding]:
+    driven = scenario.floor.cell_m / (scenario.motion.straight_ticks * scenario.time.tick_s)
+    said = scenario.motion.speed_mps
+    if abs(driven - said) > 0.01 * said:
+        text = (
+            f"a step of {scenario.floor.cell_m:g} m in {scenario.motion.straight_ticks} ticks is {driven:g} m/s, "
+            f"but motion.speed_mps is {said:g}"
+        )
+        yield Finding("warning", "speed", text)
+
+
+# ---------------------------------------------------------------- battery
+
+
+def _battery(scenario: Scenario, world: World, demand: DemandModel | None) -> Iterator[Finding]:
+    """The longest order, from the farthest charger and on to the nearest one, against full minus reserve."""
+    model = demand or _own_demand(scenario)
+    if model is None:
+        text = f"not checked: energy of demand model {scenario.energy.demand!r} was not given"
+        yield Finding("warning", "battery", text)
+        return
+    legs = longest_order(scenario, world)
+    if legs is None:
+        yield Finding("warning", "battery", "not checked: no order is possible on this floor")
+        return
+    energy_j = sum(leg_energy_j(scenario, world, model, leg) for leg in legs)
+    service_s = scenario.service.pick_s + scenario.service.drop_s
+    energy_j += model.standby_w * service_s
+    capacity_j = scenario.battery.capacity_wh * J_PER_WH
+    usable = scenario.charging.full - scenario.charging.reserve
+    needed = energy_j / capacity_j
+    route = " → ".join(world.place_name(p) for p in dict.fromkeys([legs[0].start, *(leg.end for leg in legs)]))
+    text = (
+        f"the longest order, {route}, takes {needed:.1%} of a battery; {usable:.1%} is there between "
+        f"charging.full and charging.reserve"
+    )
+    if needed > usable:
+        yield Finding("error", "battery", f"{text}: it can never be served", legs[-1].start)
+    elif needed > 0.9 * usable:
+        yield Finding("warning", "battery", f"{text}: waiting on the way may use up the rest", legs[-1].start)
+    else:
+        yield Finding("ok", "battery", text)
+
+
+def longest_order(scenario: Scenario, world: World) -> list[Leg] | None:
+    """Legs of the longest order: from the charger farthest from it, with the load, on to the nearest charger.
+
+    Without chargers, from the farthest parking bay, and no last leg. None when no order has two reachable ends.
+    """
+    pairs = order_pairs(scenario, world)
+    rest = world.chargers if len(world.chargers) else world.parking
+    origins = sorted({a for a, _ in pairs})
+    if not origins or not len(rest):
+        return None
+    ticks = _tick_matrix(world)
+    from_rest = _distances(ticks, rest.tolist())
+    to_rest = _distances(ticks.T.tocsr(), rest.tolist())
+    from_origin = dict(zip(origins, _distances(ticks, origins), strict=True))
+    has_charger = bool(len(world.chargers))
+    best: tuple[float, int, int] | None = None
+    for a, b in pairs:
+        total = float(from_rest[:, a].max() + from_origin[a][b] + (to_rest[:, b].min() if has_charger else 0.0))
+        if np.isfinite(total) and (best is None or total > best[0]):
+            best = (total, a, b)
+    if best is None:
+        return None
+    _, a, b = best
+    legs = [_leg(world, int(rest[from_rest[:, a].argmax()]), a, False), _leg(world, a, b, True)]
+    if has_charger:
+        legs.append(_leg(world, b, int(rest[to_rest[:, b].argmin()]), False))
+    return legs
+
+
+def order_pairs(scenario: Scenario, world: World) -> list[tuple[int, int]]:
+    """Distinct (from, to) places of every order that the scenario can ask for; sorted."""
+    if scenario.orders.source == "listed":
+        pairs = {(world.station(a).place, world.station(b).place) for a, b in scenario.orders.pairs}
+    else:
+
+        def stations(kind: str) -> tuple[Station, ...]:
+            return world.stations_of(StationKind(kind))
+
+        pairs = {(a.place, b.place) for m in scenario.orders.mix for a in stations(m.from_) for b in stations(m.to)}
+    return sorted(pairs)
+
+
+def leg_energy_j(scenario: Scenario, world: World, demand: DemandModel, leg: Leg) -> float:
+    """Energy of a leg in joules, standby included."""
+    graph, tick_s = world.graph, scenario.time.tick_s
+    mass_kg = scenario.fleet.mass_kg + (scenario.fleet.payload_kg if leg.loaded else 0.0)
+    counts = np.bincount(graph.edge_kind[list(leg.edges)], minlength=len(graph.primitives)) if leg.edges else ()
+    total = 0.0
+    for primitive, count in zip(graph.primitives, counts, strict=False):
+        duration_s = primitive.ticks * tick_s
+        each = sum(demand.joules(primitive, mass_kg, duration_s).values()) + demand.standby_w * duration_s
+        total += int(count) * each
+    return total
+
+
+def _own_demand(scenario: Scenario) -> DemandModel | None:
+    from engine.energy import constant, parameter_sets, xu2025
+
+    given = scenario.energy.parameters
+    if scenario.energy.demand == "constant":
+        values = parameters_over(parameter_sets.constant(), given, "constant")
+        return constant.Constant(values["percent_per_s"] / 100 * scenario.battery.capacity_wh * J_PER_WH)
+    if scenario.energy.demand == "xu2025":
+        defaults = parameter_sets.xu2025(scenario.motion.speed_mps)
+        return xu2025.Xu2025(**parameters_over(defaults, given, "xu2025"))
+    return None
+
+
+def _tick_matrix(world: World) -> Any:
+    """Sparse (P, P) matrix of the ticks of the quickest motion from place to place."""
+    from scipy import sparse
+
+    graph = world.graph
+    a, b = graph.state_place[graph.edge_from].astype(np.int64), graph.state_place[graph.edge_to].astype(np.int64)
+    moves = a != b
+    key, ticks = a[moves] * world.n_places + b[moves], graph.kind_ticks[graph.edge_kind[moves]]
+    order = np.lexsort((ticks, key))
+    key, first = np.unique(key[order], return_index=True)
+    rows, columns = np.divmod(key, world.n_places)
+    shape = (world.n_places, world.n_places)
+    return sparse.csr_array((ticks[order][first].astype(np.float64), (rows, columns)), shape=shape)
+
+
+def _distances(ticks: Any, sources: list[int]) -> F64:
+    from scipy.sparse import csgraph
+
+    found: F64 = csgraph.dijkstra(ticks, indices=sources)
+    return found
+
+
+def _leg(world: World, start: int, end: int, loaded: bool) -> Leg:
+    """Time-optimal way between two endpoints, beginning at rest as a vehicle that drove straight in stands."""
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
+    if start == end:
+        return Leg(start, end, (), loaded)
+    graph = world.graph
+    turn = np.array([p.turn_deg / 90 + p.starts for p in graph.primitives])
+    weight = graph.kind_ticks[graph.edge_kind] + 1e-4 * turn[graph.edge_kind]
+    matrix = sparse.csr_array((weight, graph.edge_to, graph.edge_ptr), shape=(graph.n_states, graph.n_states))
+    source = _state_at_rest(world, start)
+    distance, before = csgraph.dijkstra(matrix, indices=source, return_predecessors=True)
+    states = np.arange(graph.place_ptr[end], graph.place_ptr[end + 1])
+    state = int(states[distance[states].argmin()])
+    edges: list[int] = []
+    while state != source:
+        previous = int(before[state])
+        span = range(int(graph.edge_ptr[previous]), int(graph.edge_ptr[previous + 1]))
+        edges.append(min((e for e in span if graph.edge_to[e] == state), key=lambda e: float(weight[e])))
+        state = previous
+    return Leg(start, end, tuple(reversed(edges)), loaded)
+
+
+def _state_at_rest(world: World, endpoint: int) -> int:
+    """State of a vehicle standing at an endpoint, heading away from its access cell."""
+    (x, y), (ax, ay) = world.cell_of_place[endpoint], world.cell_of_place[world.access[endpoint]]
+    inwards = round(np.degrees(np.arctan2(int(y) - int(ay), int(x) - int(ax)))) % 360
+    return world.graph.state(endpoint, world.graph.heading_deg.index(inwards))

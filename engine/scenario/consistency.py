@@ -1,0 +1,155 @@
+"""What the fields of a scenario must say together; needs no compiled world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import BadInput, unknown_name
+from engine.scenario.blocks import MAX_CELLS
+from engine.scenario.model import Scenario
+from engine.scenario.toml_text import Path
+from engine.types import StationKind
+from engine.world.floor import (
+    AISLES,
+    ENDPOINTS,
+    LETTERS,
+    SIDES,
+    STATIONS,
+    access_side,
+    cells_from_rows,
+    named_endpoints,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What is wrong and where: path of the field, sentence, and row of the drawing when it is about one."""
+
+    path: Path
+    text: str
+    row: int | None = None
+
+
+def problems_of(scenario: Scenario) -> list[Problem]:
+    """Every contradiction within a scenario whose single fields are fine; empty when there is none."""
+    problems = [*_floor(scenario), *_levels(scenario), *_times(scenario)]
+    if problems and any(p.path[0] == "floor" for p in problems):
+        return problems  # stations and cells can't be named on a floor that is wrong
+    cells = cells_from_rows(scenario.floor.drawing())
+    return [*problems, *_access(scenario, cells), *_orders(scenario, cells), *_fleet(scenario, cells)]
+
+
+def _floor(scenario: Scenario) -> Iterator[Problem]:
+    floor = scenario.floor
+    if floor.kind == "blocks":
+        if floor.rows is not None:
+            yield Problem(("floor", "rows"), "a floor of kind 'blocks' is generated and has no rows")
+        if floor.blocks is None:
+            yield Problem(("floor", "kind"), "a floor of kind 'blocks' needs a table [floor.blocks]")
+            return
+        try:
+            floor.drawing()
+        except BadInput as error:
+            yield Problem(("floor", "blocks"), str(error))
+        return
+    if floor.blocks is not None:
+        yield Problem(("floor", "blocks"), "only a floor of kind 'blocks' has this table")
+    rows = floor.drawing()
+    if not rows:
+        yield Problem(("floor", "rows" if floor.rows is not None else "kind"), "a drawn floor needs rows of letters")
+        return
+    if sum(map(len, rows)) > MAX_CELLS:
+        yield Problem(("floor", "rows"), f"a floor has at most {MAX_CELLS:,} cells")
+        return
+    for number, row in enumerate(rows):
+        if len(row) != len(rows[0]):
+            text = f"row {number + 1} has {len(row)} cells, expected {len(rows[0])} as in row 1"
+            yield Problem(("floor", "rows"), text, number)
+        for column, letter in enumerate(row):
+            if letter not in LETTERS:
+                text = f"row {number + 1}, column {column + 1}: {unknown_name('letter', letter, LETTERS)}"
+                yield Problem(("floor", "rows"), text, number)
+                break
+    if not any(letter in AISLES + ENDPOINTS for row in rows for letter in row):
+        yield Problem(("floor", "rows"), "no cell of the floor can hold a vehicle")
+
+
+def _access(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:
+    endpoints = named_endpoints(cells)
+    for name, side in scenario.floor.access.items():
+        if name not in endpoints:
+            yield Problem(("floor", "access", name), unknown_name("endpoint", name, endpoints))
+            continue
+        x, y = endpoints[name]
+        if access_side(cells, x, y, side) is None:
+            sides = [s for s in SIDES if access_side(cells, x, y, s) is not None]
+            good = f"; there is one {' and '.join(sides)}" if sides else ""
+            yield Problem(("floor", "access", name), f"there is no aisle cell {side} of ({x}, {y}){good}")
+
+
+def _levels(scenario: Scenario) -> Iterator[Problem]:
+    charging = scenario.charging
+    names = ("reserve", "critical", "good", "sufficient", "full")
+    for low, high in pairwise(names):
+        a, b = getattr(charging, low), getattr(charging, high)
+        if a > b:
+            yield Problem(("charging", low), f"got {a:g}, expected at most charging.{high}, which is {b:g}")
+    if isinstance(soc := scenario.battery.initial_soc, tuple) and soc[0] > soc[1]:
+        yield Problem(("battery", "initial_soc"), f"got [{soc[0]:g}, {soc[1]:g}], expected [low, high]")
+
+
+def _times(scenario: Scenario) -> Iterator[Problem]:
+    time, orders = scenario.time, scenario.orders
+    if time.until_s is not None and time.until_s < time.tick_s:
+        yield Problem(("time", "until_s"), f"got {time.until_s:g}, expected at least one tick of {time.tick_s:g} s")
+    for key in ("sample_s", "keyframe_s"):
+        if (value := getattr(scenario.log, key)) < time.tick_s:
+            yield Problem(("log", key), f"got {value:g}, expected at least one tick of {time.tick_s:g} s")
+    if time.finish != "never" and orders.source == "poisson" and orders.limit is None:
+        text = f"got {time.finish!r}, but poisson orders without orders.limit are never all done"
+        yield Problem(("time", "finish"), text)
+    low, high = scenario.faults.delay_ticks
+    if low > high:
+        yield Problem(("faults", "delay_ticks"), f"got [{low}, {high}], expected [shortest, longest]")
+
+
+def _orders(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:
+    orders = scenario.orders
+    counts = {kind: int((cells == ord(letter)).sum()) for letter, kind in STATIONS.items()}
+    total = sum(counts.values())
+    if orders.source == "listed":
+        if not orders.pairs:
+            yield Problem(("orders", "pairs"), "listed orders need at least one pair of station numbers")
+        for i, pair in enumerate(orders.pairs):
+            for number in pair:
+                if number > total:
+                    text = f"unknown station {number}; the floor has stations 1 to {total}"
+                    yield Problem(("orders", "pairs", i), text)
+        return
+    for i, item in enumerate(orders.mix):
+        for key, kind in (("from", item.from_), ("to", item.to)):
+            if not (total if kind == "station" else counts[StationKind(kind)]):
+                yield Problem(("orders", "mix", i, key), f"the floor has no {kind} station")
+
+
+def _fleet(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:
+    start = scenario.fleet.start
+    if isinstance(start, str):
+        return
+    height, width = cells.shape
+    if len(start) != scenario.fleet.count:
+        text = f"got {len(start)} cells for {scenario.fleet.count} vehicles; expected one each"
+        yield Problem(("fleet", "start"), text)
+    for i, (x, y) in enumerate(start):
+        if x >= width or y >= height:
+            text = f"({x}, {y}) lies outside the floor of {width} × {height} cells"
+            yield Problem(("fleet", "start", i), text)
+        elif (letter := chr(cells[y, x])) not in AISLES + ENDPOINTS:
+            yield Problem(("fleet", "start", i), f"({x}, {y}) is a {LETTERS[letter]}; a vehicle can't be there")
+        elif start.index((x, y)) != i:
+            yield Problem(("fleet", "start", i), f"({x}, {y}) is taken twice")

@@ -1,0 +1,234 @@
+"""What a scenario says, section by section: strict, frozen, every number with its unit in its name."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
+
+from engine.scenario.blocks import rows_of_blocks
+from engine.types import Occupancy
+from engine.world.floor import FloorPlan
+from engine.world.grid import GridMotion
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Ticks = Annotated[int, Field(ge=1, le=10_000)]
+StationNumber = Annotated[int, Field(ge=1)]
+KindName = Literal["inbound", "outbound", "rack", "station"]
+CellXY = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
+SoC = Annotated[float, Field(gt=0, le=1)]
+
+
+class Section(BaseModel):
+    """Strict, frozen, no unknown keys, finite numbers only."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+
+
+class TimeSection(Section):
+    tick_s: Positive = Field(default=1.0, description="Seconds per tick; every motion lasts whole ticks")
+    until_s: Positive | None = Field(
+        default=None, description="Simulated seconds after which the run ends; none is endless"
+    )
+    finish: Literal["never", "orders done", "orders done and home"] = Field(
+        default="never", description="What ends the run before until_s"
+    )
+
+
+class BlocksSection(Section):
+    """A generated warehouse: storage blocks between one-way aisles, two-lane main roads, stations on two sides."""
+
+    columns: int = Field(default=4, ge=1, le=100, description="Storage blocks side by side")
+    rows: int = Field(default=4, ge=1, le=100, description="Storage blocks above each other")
+    block_width: int = Field(default=8, ge=1, le=100, description="Cells of a block, west to east")
+    block_height: int = Field(default=2, ge=1, le=20, description="Cells of a block, south to north")
+    aisle_width: Literal[1, 2] = Field(
+        default=1, description="Lanes of an aisle: 1 alternates its direction, 2 runs both ways"
+    )
+    main_every: int = Field(default=4, ge=0, le=100, description="Blocks between two-lane main roads; 0 for none")
+    racks: int = Field(default=32, ge=0, description="Racks that orders name, spread evenly over the blocks")
+    inbound: int = Field(default=3, ge=0, description="Inbound stations, on the west side")
+    outbound: int = Field(default=3, ge=0, description="Outbound stations, on the east side")
+    chargers: int = Field(default=8, ge=0, description="Chargers, on the south side, then on the north side")
+    parking: int = Field(default=8, ge=0, description="Parking bays, spread evenly over the blocks")
+
+
+class FloorSection(Section):
+    kind: Literal["drawing", "blocks"] = Field(
+        default="drawing", description="Drawn in `rows`, or generated from `blocks`"
+    )
+    rows: str | None = Field(default=None, description="The drawing, top row first, one letter per cell")
+    blocks: BlocksSection | None = Field(default=None, description="Parameters of the generator `blocks`")
+    cell_m: Positive = Field(default=1.0, le=100, description="Side of a cell in metres")
+    connectivity: Literal[4, 8] = Field(default=4, description="Neighbours of a cell")
+    occupancy: Literal["hold", "mapf"] = Field(default="hold", description="How vehicles exclude each other")
+    margin_ticks: int = Field(default=0, ge=0, le=100, description="Ticks that a place stays closed after it was left")
+    access: dict[str, Literal["south", "north", "west", "east"]] = Field(
+        default_factory=dict, description="Side on which an endpoint is entered, by its name, such as R7"
+    )
+
+    def drawing(self) -> tuple[str, ...]:
+        """Rows of letters, top row first; drawn or generated. Raises BadInput when the generator can't."""
+        if self.kind == "blocks":
+            return rows_of_blocks(**(self.blocks or BlocksSection()).model_dump())
+        return tuple(line.strip() for line in (self.rows or "").splitlines() if line.strip())
+
+
+class MotionSection(Section):
+    turning: Literal["arc", "pivot"] = Field(
+        default="arc", description="Turn while driving into the next cell, or on the spot"
+    )
+    speed_mps: Positive = Field(default=1.0, le=50, description="Cruising speed in m/s, for energy")
+    straight_ticks: Ticks = Field(default=1, description="Ticks of a step straight ahead")
+    turn_ticks: Ticks = Field(default=1, description="Ticks of a turn")
+    reverse_ticks: Ticks = Field(default=1, description="Ticks of a reversal")
+    diagonal_ticks: Ticks = Field(default=1, description="Ticks of a diagonal step")
+
+
+class ServiceSection(Section):
+    pick_s: NotNegative = Field(default=5.0, description="Seconds to take a load")
+    drop_s: NotNegative = Field(default=5.0, description="Seconds to hand a load over")
+
+
+class FleetSection(Section):
+    count: int = Field(ge=1, le=10_000, description="Vehicles")
+    mass_kg: Positive = Field(default=1000.0, description="Mass of an empty vehicle")
+    payload_kg: NotNegative = Field(default=0.0, description="Mass of a load")
+    start: Literal["chargers", "parking"] | tuple[CellXY, ...] = Field(
+        default="chargers",
+        description="Where vehicles start: spread over the chargers or the parking, or cells [[x, y], …]",
+    )
+
+
+class EnergySection(Section):
+    demand: str = Field(default="xu2025", min_length=1, description="Demand model, motion to joules")
+    beside: str = Field(default="", description="A second demand model, computed as information only")
+    parameters: dict[str, float] = Field(default_factory=dict, description="Parameters of the demand model")
+
+
+class BatterySection(Section):
+    model: str = Field(default="coulomb", min_length=1, description="Battery model, joules to state of charge")
+    capacity_wh: Positive = Field(default=1000.0, description="Energy of a full battery")
+    voltage_v: Positive = Field(default=48.0, description="Nominal voltage")
+    initial_soc: SoC | tuple[SoC, SoC] = Field(
+        default=1.0, description="State of charge at the start; [low, high] is drawn per vehicle from the seed"
+    )
+
+
+class ChargerSection(Section):
+    power_w: Positive = Field(default=1000.0, description="Power of a charger at the mains")
+    rate_percent_per_s: Positive | None = Field(
+        default=None, description="Percent of the battery per second, for `linear`"
+    )
+    efficiency: Share = Field(default=0.92, gt=0, description="Share of the charger's power that reaches the battery")
+
+
+class ChargingSection(Section):
+    policy: str = Field(default="levels", min_length=1, description="Charging policy")
+    critical: Share = Field(default=0.15, description="Below it a vehicle charges before anything else")
+    good: Share = Field(default=0.3, description="Below it a free vehicle goes charging")
+    sufficient: Share = Field(default=0.8, description="From it a charging vehicle may take orders again")
+    full: Share = Field(default=1.0, description="Where charging ends")
+    reserve: Share = Field(default=0.05, description="Charge that no plan may use up")
+
+
+class MixItem(Section):
+    """A share of the Poisson orders: from any station of one kind to any of another."""
+
+    from_: KindName = Field(validation_alias=AliasChoices("from", "from_"), serialization_alias="from")
+    to: KindName
+    weight: Positive = Field(default=1.0)
+
+
+class OrdersSection(Section):
+    source: Literal["listed", "poisson"] = Field(
+        default="poisson", description="Listed pairs, or seeded Poisson arrivals"
+    )
+    pairs: tuple[tuple[StationNumber, StationNumber], ...] = Field(
+        default=(), description="Orders as [from, to] station numbers, all known at the start"
+    )
+    rate_per_h: NotNegative = Field(default=60.0, description="Mean number of new orders per hour")
+    mix: tuple[MixItem, ...] = Field(
+        default=(
+            MixItem(from_="inbound", to="rack", weight=1.0),
+            MixItem(from_="rack", to="outbound", weight=1.0),
+        ),
+        min_length=1,
+        description="Kinds of stations between which Poisson orders go, with weights",
+    )
+    limit: int | None = Field(default=None, ge=0, description="Number of Poisson orders; none is endless")
+
+
+class DispatchSection(Section):
+    policy: str = Field(default="nearest", min_length=1, description="Who takes which order")
+
+
+class PlannerSection(Section):
+    name: str = Field(default="prioritized", min_length=1, description="Planner")
+    objective: Literal["time", "energy"] = Field(default="time", description="What a plan minimises")
+    parameters: dict[str, float | int | bool | str] = Field(
+        default_factory=dict, description="Parameters of the planner"
+    )
+
+
+class FaultsSection(Section):
+    delay_probability: Share = Field(default=0.0, description="Chance of a delay per started motion")
+    delay_ticks: tuple[Ticks, Ticks] = Field(default=(1, 3), description="Shortest and longest delay")
+    breakdowns_per_vehicle_day: NotNegative = Field(default=0.0, description="Mean number of breakdowns")
+    repair_s: NotNegative = Field(default=600.0, description="Seconds until a broken vehicle works again")
+
+
+class LogSection(Section):
+    sample_s: Positive = Field(default=10.0, description="Seconds between battery samples")
+    keyframe_s: Positive = Field(default=300.0, description="Seconds between keyframes")
+
+
+class Scenario(Section):
+    """Everything that determines a run, but for the commands given while it runs."""
+
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9._-]*$", max_length=80, description="Short name")
+    title: str = Field(min_length=1, max_length=120, description="What a person reads in a list")
+    description: str = Field(default="", description="What it shows and where it comes from")
+    paper: str = Field(default="", description="Paper it follows, such as soochow2022")
+    seed: int = Field(default=1, ge=0, le=2**63 - 1, description="Seed of everything that is drawn")
+    time: TimeSection = Field(default_factory=TimeSection)
+    floor: FloorSection
+    motion: MotionSection = Field(default_factory=MotionSection)
+    service: ServiceSection = Field(default_factory=ServiceSection)
+    fleet: FleetSection
+    energy: EnergySection = Field(default_factory=EnergySection)
+    battery: BatterySection = Field(default_factory=BatterySection)
+    charger: ChargerSection = Field(default_factory=ChargerSection)
+    charging: ChargingSection = Field(default_factory=ChargingSection)
+    orders: OrdersSection = Field(default_factory=OrdersSection)
+    dispatch: DispatchSection = Field(default_factory=DispatchSection)
+    planner: PlannerSection = Field(default_factory=PlannerSection)
+    faults: FaultsSection = Field(default_factory=FaultsSection)
+    log: LogSection = Field(default_factory=LogSection)
+
+    def floor_plan(self) -> FloorPlan:
+        """The floor as drawn or generated, for engine.world.build_world."""
+        motion = self.motion
+        return FloorPlan(
+            rows=self.floor.drawing(),
+            motion=GridMotion(
+                cell_mm=round(self.floor.cell_m * 1000),
+                turning=motion.turning,
+                straight_ticks=motion.straight_ticks,
+                turn_ticks=motion.turn_ticks,
+                reverse_ticks=motion.reverse_ticks,
+                diagonal_ticks=motion.diagonal_ticks,
+            ),
+            access=self.floor.access,
+            connectivity=self.floor.connectivity,
+            occupancy=Occupancy(self.floor.occupancy),
+            margin_ticks=self.floor.margin_ticks,
+        )
+
+    def to_toml(self) -> str:
+        """TOML text that parses to an equal scenario."""
+        from engine.scenario.toml_text import write
+
+        return write(self.model_dump(by_alias=True, exclude_none=True, exclude_defaults=False))

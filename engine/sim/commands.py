@@ -1,0 +1,249 @@
+"""What an operator may say while a run goes on. Checked, logged with its tick, then done; refused with a reason."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from engine.errors import BadInput, unknown_name
+from engine.types import NONE, OrderState
+
+if TYPE_CHECKING:
+    from engine.sim.simulation import Simulation
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Accepted or not, and why; `tick` at which it takes effect, `number` of the command in this run."""
+
+    accepted: bool
+    reason: str
+    tick: int
+    number: int
+
+
+class Refused(Exception):
+    """The command makes sense but can't be done now; the message says why."""
+
+
+def submit(sim: Simulation, command: Mapping[str, Any]) -> Answer:
+    """Check, log and carry out one command. Never raises for what a person said."""
+    number = sim.commands
+    sim.commands += 1
+    try:
+        what = command.get("do")
+        if not isinstance(what, str) or what not in COMMANDS:
+            raise BadInput(unknown_name("command", str(what), COMMANDS))
+        handler, needs = COMMANDS[what]
+        for key in command:
+            if key != "do" and key not in needs:
+                raise BadInput(unknown_name(f"field of command {what!r}", str(key), needs))
+        values = {key: _number(command, key, kind) for key, kind in needs.items() if key in command or kind is not None}
+        reason, accepted = handler(sim, **{k.replace("from", "source"): v for k, v in values.items()}), True
+    except (BadInput, Refused) as why:
+        reason, accepted = str(why), False
+    text = json.dumps(command, sort_keys=True, default=str)
+    sim.ledger.row("commands", sim.tick, number, text, int(accepted), reason)
+    if accepted:
+        sim.settle()
+    return Answer(accepted, reason, sim.tick, number)
+
+
+def _number(command: Mapping[str, Any], key: str, kind: type | None) -> Any:
+    if key not in command:
+        raise BadInput(f"command {command['do']!r} needs {key!r}")
+    value = command[key]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise BadInput(f"{key!r} must be a number; got {value!r}")
+    if kind is int and value != int(value):
+        raise BadInput(f"{key!r} must be a whole number; got {value!r}")
+    return int(value) if kind is int else float(value)
+
+
+def _vehicle(sim: Simulation, v: int) -> int:
+    if not 0 <= v < sim.n:
+        raise BadInput(f"there is no vehicle {v}; the fleet is numbered 0 to {sim.n - 1}")
+    return v
+
+
+def _place(sim: Simulation, place: int) -> str:
+    if not 0 <= place < sim.graph.n_places:
+        raise BadInput(f"there is no place {place}; the floor's are numbered 0 to {sim.graph.n_places - 1}")
+    x, y = (int(c) for c in sim.world.cell_of_place[place])
+    return f"({x}, {y})"
+
+
+def _order(sim: Simulation, source: int, to: int) -> str:
+    for number in (source, to):
+        sim.world.station(number)
+    order = sim.add_order(source, to, source=1)
+    return f"order {order} from {sim.world.station(source).name} to {sim.world.station(to).name}"
+
+
+def _withdraw(sim: Simulation, order: int) -> str:
+    book = sim.book
+    if not 0 <= order < len(book):
+        raise BadInput(f"there is no order {order}; {len(book)} were given so far")
+    state = OrderState(book.state[order])
+    if state is OrderState.PICKED:
+        raise Refused(f"vehicle {book.vehicle[order]} has already picked order {order} up")
+    if state in (OrderState.DONE, OrderState.WITHDRAWN):
+        raise Refused(f"order {order} is already {state.name.lower()}")
+    vehicle = book.vehicle[order]
+    if state is OrderState.OPEN:
+        book.open.remove(order)
+    else:
+        if sim.in_service(vehicle):
+            raise Refused(f"vehicle {vehicle} is just picking order {order} up")
+        sim.release_order(vehicle)
+    book.state[order] = int(OrderState.WITHDRAWN)
+    sim.reasons.pop(order, None)
+    sim.order_row(order)
+    return f"order {order} is withdrawn"
+
+
+def _charge(sim: Simulation, vehicle: int) -> str:
+    v = _vehicle(sim, vehicle)
+    if sim.fleet.failed[v]:
+        raise Refused(f"vehicle {v} is broken down")
+    if sim.fleet.charge[v] >= sim.levels.full[v]:
+        raise Refused(f"vehicle {v} is already charged")
+    if sim.fleet.order[v] != NONE:
+        sim.charge_later[v] = 1
+        return f"vehicle {v} goes charging after order {int(sim.fleet.order[v])}"
+    sim.must_charge[v] = 1
+    return f"vehicle {v} goes charging"
+
+
+def _send(sim: Simulation, vehicle: int, place: int) -> str:
+    v, cell = _vehicle(sim, vehicle), _place(sim, place)
+    if sim.fleet.failed[v] or sim.fleet.paused[v]:
+        raise Refused(f"vehicle {v} is {'broken down' if sim.fleet.failed[v] else 'paused'}")
+    if sim.fleet.order[v] != NONE:
+        raise Refused(f"vehicle {v} is busy with order {int(sim.fleet.order[v])}; withdraw it first")
+    if sim.blocked[place]:
+        raise Refused(f"cell {cell} is blocked")
+    holder = int(sim.holder[place])
+    if holder not in (NONE, v):
+        raise Refused(f"cell {cell} is taken by vehicle {holder}")
+    if sim.world.endpoint[place] and not sim.is_rest(place):
+        raise Refused(f"cell {cell} is a station; nothing may park there")
+    if not sim.send_to(v, place):
+        raise Refused(f"vehicle {v} found no way to {cell} that ends without blocking others")
+    return f"vehicle {v} goes to {cell}"
+
+
+def _pause(sim: Simulation, vehicle: int) -> str:
+    v = _vehicle(sim, vehicle)
+    if sim.fleet.paused[v]:
+        raise Refused(f"vehicle {v} is already paused")
+    sim.fleet.paused[v] = 1
+    return f"vehicle {v} pauses as soon as it has reached its next place"
+
+
+def _continue(sim: Simulation, vehicle: int) -> str:
+    v = _vehicle(sim, vehicle)
+    if not sim.fleet.paused[v]:
+        raise Refused(f"vehicle {v} is not paused")
+    sim.fleet.paused[v] = 0
+    return f"vehicle {v} goes on"
+
+
+def _fail(sim: Simulation, vehicle: int) -> str:
+    v = _vehicle(sim, vehicle)
+    if sim.fleet.failed[v]:
+        raise Refused(f"vehicle {v} is already broken down")
+    sim.say("breakdown", f"vehicle {v} was taken out by the operator", 2, v)
+    sim.fail(v)
+    return f"vehicle {v} stops at its next place and stays there until it is repaired"
+
+
+def _repair(sim: Simulation, vehicle: int) -> str:
+    v = _vehicle(sim, vehicle)
+    if not sim.fleet.failed[v]:
+        raise Refused(f"vehicle {v} is not broken down")
+    if sim.fleet.charge[v] <= 0:
+        sim.fleet.charge[v] = sim.levels.capacity[v] // 10
+        sim.say("battery changed", f"vehicle {v} got a battery at 10 %", 1, v)
+    sim.repair(v)
+    return f"vehicle {v} works again"
+
+
+def _block(sim: Simulation, place: int) -> str:
+    cell = _place(sim, place)
+    if sim.blocked[place]:
+        raise Refused(f"cell {cell} is already blocked")
+    sim.set_block(place, True)
+    return f"cell {cell} is blocked"
+
+
+def _unblock(sim: Simulation, place: int) -> str:
+    cell = _place(sim, place)
+    if not sim.blocked[place]:
+        raise Refused(f"cell {cell} is not blocked")
+    sim.set_block(place, False)
+    return f"cell {cell} is free again"
+
+
+def _charger_out(sim: Simulation, charger: int) -> str:
+    _charger(sim, charger)
+    if sim.charger_out[charger]:
+        raise Refused(f"charger C{charger + 1} is already out of order")
+    sim.set_charger(charger, works=False)
+    return f"charger C{charger + 1} is out of order"
+
+
+def _charger_back(sim: Simulation, charger: int) -> str:
+    _charger(sim, charger)
+    if not sim.charger_out[charger]:
+        raise Refused(f"charger C{charger + 1} is in order")
+    sim.set_charger(charger, works=True)
+    return f"charger C{charger + 1} works again"
+
+
+def _charger(sim: Simulation, charger: int) -> None:
+    if not 0 <= charger < len(sim.charger_out):
+        raise BadInput(f"there is no charger {charger}; they are numbered 0 to {len(sim.charger_out) - 1}")
+
+
+def _rate(sim: Simulation, per_h: float) -> str:
+    if per_h < 0 or per_h > 1e6:
+        raise BadInput(f"'per_h' must lie between 0 and 1000000; got {per_h:g}")
+    if why := sim.source.set_rate(per_h, sim.tick):
+        raise Refused(why)
+    return f"{per_h:g} orders per hour from now on"
+
+
+def _thresholds(sim: Simulation, **given: float) -> str:
+    new = {**sim.thresholds, **given}
+    for name, value in new.items():
+        if not 0 <= value <= 1:
+            raise BadInput(f"{name!r} must lie between 0 and 1; got {value:g}")
+    if not new["critical"] <= new["good"] <= new["sufficient"] <= new["full"]:
+        raise BadInput("thresholds must rise: critical ≤ good ≤ sufficient ≤ full")
+    sim.set_thresholds(new)
+    return "thresholds: " + ", ".join(f"{k} {100 * v:.0f} %" for k, v in new.items())
+
+
+_LEVEL: dict[str, Any] = dict.fromkeys(("critical", "good", "sufficient", "full", "reserve"))
+COMMANDS: dict[str, tuple[Callable[..., str], dict[str, Any]]] = {
+    "order": (_order, {"from": int, "to": int}),
+    "withdraw": (_withdraw, {"order": int}),
+    "charge": (_charge, {"vehicle": int}),
+    "send": (_send, {"vehicle": int, "place": int}),
+    "pause": (_pause, {"vehicle": int}),
+    "continue": (_continue, {"vehicle": int}),
+    "fail": (_fail, {"vehicle": int}),
+    "repair": (_repair, {"vehicle": int}),
+    "block": (_block, {"place": int}),
+    "unblock": (_unblock, {"place": int}),
+    "charger out": (_charger_out, {"charger": int}),
+    "charger back": (_charger_back, {"charger": int}),
+    "rate": (_rate, {"per_h": float}),
+    "thresholds": (_thresholds, _LEVEL),
+}
+"""What may be said: who does it, and its fields (None: an optional number)."""

@@ -1,0 +1,235 @@
+"""Does the energy add up? Every motion's energy anew from the scenario's numbers, the ledgers, and the batteries.
+
+xu2025 (equations 2–6 and 12): rolling μ·m·g·l · a quarter turn also ½·I·ω² · a start also ½·m·v² · a reversal is two
+turns and a start · standby P_s·Δt at every tick. I = m(length² + width²)/12. constant: a fixed percent of the battery
+per second while moving. Each component of a motion is rounded once, half to even, to whole millijoules.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from engine.scenario import Scenario
+from engine.sim.judge.breach import REPORTED, Breach, BreachKind
+from engine.sim.judge.record import I64, Record, RunLog
+from engine.types import COMPONENTS, Activity, Component
+from engine.world.motion_graph import MotionGraph, Primitive
+
+_CHARGING = (Component.CHARGED, Component.CHARGER_LOSS)
+
+
+def energy(r: Record, log: RunLog, scenario: Scenario, graph: MotionGraph) -> Iterator[Breach]:
+    """Every motion, ledger and battery that does not add up. Demand models without formulae here are not judged."""
+    cost = costs(scenario, graph)
+    if cost is not None:
+        yield from _motions(r, cost, graph)
+    samples = _samples(log)
+    if samples is None:
+        return
+    if cost is not None:
+        yield from _ledgers(r, samples, cost, scenario, graph)
+    yield from _charging(r, samples, scenario)
+    yield from _batteries(samples, log, scenario)
+
+
+def costs(scenario: Scenario, graph: MotionGraph) -> I64 | None:
+    """Energy in mJ of (primitive, empty or loaded, component); None for a demand model that the judge does not know."""
+    fleet = scenario.fleet
+    out = np.zeros((len(graph.primitives), 2, len(COMPONENTS)), np.int64)
+    for k, primitive in enumerate(graph.primitives):
+        for load, mass in enumerate((fleet.mass_kg, fleet.mass_kg + fleet.payload_kg)):
+            if scenario.energy.demand == "xu2025":
+                parts = _xu2025(primitive, mass, scenario)
+            elif scenario.energy.demand == "constant":
+                percent = scenario.energy.parameters.get("percent_per_s", 1.0)
+                joules = percent / 100 * scenario.battery.capacity_wh * 3600 * primitive.ticks * scenario.time.tick_s
+                parts = {Component.RUNNING: joules}
+            else:
+                return None
+            for component, joules in parts.items():
+                out[k, load, component] = round(joules * 1000)
+    return out
+
+
+def _xu2025(primitive: Primitive, mass_kg: float, scenario: Scenario) -> dict[Component, float]:
+    given = scenario.energy.parameters
+    mu, g = given.get("mu", 0.01), given.get("g", 9.81)
+    v_mps, omega = given.get("v_mps", scenario.motion.speed_mps), given.get("omega", math.pi / 2)
+    length_m, width_m = given.get("length_m", 1.2), given.get("width_m", 0.9)
+    inertia = mass_kg * (length_m * length_m + width_m * width_m) / 12
+    return {
+        Component.ROLLING: mu * mass_kg * g * primitive.length_mm / 1000,
+        Component.TURNING: primitive.turn_deg / 90 * inertia * omega * omega / 2,
+        Component.STARTING: mass_kg * v_mps * v_mps / 2 if primitive.starts else 0.0,
+    }
+
+
+def standby_mj(scenario: Scenario) -> int:
+    """Standby energy per tick."""
+    fallback = 30.0 if scenario.energy.demand == "xu2025" else 0.0
+    return round(scenario.energy.parameters.get("standby_w", fallback) * scenario.time.tick_s * 1000)
+
+
+def _motions(r: Record, cost: I64, graph: MotionGraph) -> Iterator[Breach]:
+    """The energy logged with each motion."""
+    total = cost.sum(2)
+    expected = np.where(r.moves, total[r.primitive, np.clip(r.loaded, 0, 1)], 0)
+    cut = np.nonzero(r.cut)[0]
+    if len(cut):
+        expected[cut] = _part(r, cut, cost, graph, r.t1[cut]).sum(1)
+    rows = np.nonzero((r.energy_mj != expected) & r.legal & ~r.still)[0][:REPORTED]
+    for i in rows.tolist():
+        v, t = int(r.vehicle[i]), int(r.t0[i])
+        logged, right = int(r.energy_mj[i]), int(expected[i])
+        text = f"the motion of vehicle {v} at tick {t} is logged with {logged} mJ; {right} are right"
+        yield Breach(BreachKind.ENERGY, t, (v,), int(r.b[i]), text)
+
+
+def _part(r: Record, rows: I64, cost: I64, graph: MotionGraph, until: I64) -> I64:
+    """Energy (rows, components) of motions up to a tick: spread over their ticks by cumulative floor."""
+    whole = cost[r.primitive[rows], np.clip(r.loaded[rows], 0, 1)] * r.moves[rows, None]
+    ticks = np.maximum(np.asarray(graph.kind_ticks, np.int64)[r.primitive[rows]], 1)
+    passed = np.clip(np.minimum(until, r.t1[rows]) - r.t0[rows], 0, ticks)
+    return np.asarray(whole * passed[:, None] // ticks[:, None])
+
+
+class _Samples:
+    """Battery rows by vehicle and tick; `follows` where the row before is the same vehicle's."""
+
+    def __init__(self, log: RunLog) -> None:
+        b = log.table("battery")
+        vehicle, tick = np.asarray(b["vehicle"], np.int64), np.asarray(b["tick"], np.int64)
+        order = np.lexsort((tick, vehicle))
+        self.vehicle, self.tick = vehicle[order], tick[order]
+        self.charge = np.asarray(b["charge_mc"], np.int64)[order]
+        self.voltage = np.asarray(b["voltage_mv"], np.int64)[order]
+        self.ledger = np.stack([np.asarray(b[f"{name}_mj"], np.int64)[order] for name in COMPONENTS], 1)
+        self.follows = np.zeros(len(order), np.bool_)
+        self.follows[1:] = self.vehicle[1:] == self.vehicle[:-1]
+
+
+def _samples(log: RunLog) -> _Samples | None:
+    samples = _Samples(log)
+    return samples if len(samples.tick) else None
+
+
+def _sums(r: Record, s: _Samples, cost: I64, graph: MotionGraph) -> I64:
+    """Energy of every vehicle's motions up to each sample, (samples, components), from its first interval on."""
+    at, first = r.before(s.vehicle, s.tick), r.first(s.vehicle)
+    known = at >= 0
+    part = _part(r, np.maximum(at, 0), cost, graph, s.tick)
+    out = np.zeros_like(s.ledger)
+    kinds = r.primitive * 2 + np.clip(r.loaded, 0, 1)
+    cut = np.nonzero(r.cut)[0]
+    short = _part(r, cut, cost, graph, r.t1[cut]) if len(cut) else None
+    for c in range(cost.shape[2]):
+        table = cost[:, :, c].reshape(-1)
+        if not table.any():
+            continue
+        each = np.where(r.moves, table[kinds], 0)
+        if short is not None:
+            each[cut] = short[:, c]
+        running = np.concatenate([[0], np.cumsum(each)])
+        out[:, c] = np.where(known, running[np.maximum(at, 0)] - running[np.minimum(first, r.n)] + part[:, c], 0)
+    return out
+
+
+def _ledgers(r: Record, s: _Samples, cost: I64, scenario: Scenario, graph: MotionGraph) -> Iterator[Breach]:
+    """Between two samples each component grows by the sum over the motions; standby by its power."""
+    expected = _sums(r, s, cost, graph)
+    expected[:, Component.STANDBY] = standby_mj(scenario) * s.tick
+    covered = s.tick >= r.first_tick
+    grown = np.diff(s.ledger, axis=0, prepend=0)
+    due = np.diff(expected, axis=0, prepend=0)
+    # the first sample of a vehicle counts from tick 0, when the log still covers that
+    begins = ~s.follows
+    grown[begins], due[begins] = s.ledger[begins], expected[begins]
+    judged = np.where(begins, (s.tick == 0) | (r.first_tick == 0), np.concatenate([[False], covered[:-1]]))
+    empty = (s.charge <= 0) | np.concatenate([[False], s.charge[:-1] <= 0])
+    wrong = (grown != due) & judged[:, None]
+    wrong[:, list(_CHARGING)] = False
+    # an empty battery gives no standby
+    wrong[:, Component.STANDBY] &= ~(empty & (grown[:, Component.STANDBY] < due[:, Component.STANDBY]))
+    for i, c in np.argwhere(wrong)[:REPORTED].tolist():
+        v, t = int(s.vehicle[i]), int(s.tick[i])
+        text = (
+            f"{COMPONENTS[c]} of vehicle {v} grows by {int(grown[i, c])} mJ up to tick {t}; "
+            f"its motions add up to {int(due[i, c])} mJ"
+        )
+        yield Breach(BreachKind.ENERGY, t, (v,), -1, text)
+
+
+def _charging(r: Record, s: _Samples, scenario: Scenario) -> Iterator[Breach]:
+    """Charge flows only while charging, not faster than the charger gives, and with its losses."""
+    ticks = np.where(r.kind == Activity.CHARGE, r.t1 - r.t0, 0)
+    running = np.concatenate([[0], np.cumsum(ticks)])
+    at, first = r.before(s.vehicle, s.tick), r.first(s.vehicle)
+    row = np.maximum(at, 0)
+    if r.n == 0:
+        return
+    partial = np.where(r.kind[row] == Activity.CHARGE, np.clip(np.minimum(s.tick, r.t1[row]) - r.t0[row], 0, None), 0)
+    charging = np.where(at >= 0, running[row] - running[np.minimum(first, r.n)] + partial, 0)
+    taken = -np.diff(s.ledger[:, Component.CHARGED], prepend=0)
+    lost = np.diff(s.ledger[:, Component.CHARGER_LOSS], prepend=0)
+    during = np.diff(charging, prepend=0)
+    judged = s.follows & (np.concatenate([[0], s.tick[:-1]]) >= r.first_tick)
+    # a rate in percent says what reaches the battery, and nothing of losses
+    share = 0.0 if scenario.charger.rate_percent_per_s is not None else 1 - scenario.charger.efficiency
+    most = max_charge_mj(scenario)
+    wrong = (taken < 0) | (taken > during * most + 1) | (np.abs(lost - share * taken) > during + 1)
+    for i in np.nonzero(wrong & judged)[0][:REPORTED].tolist():
+        v, t = int(s.vehicle[i]), int(s.tick[i])
+        took = f"takes {int(taken[i])} mJ and loses {int(lost[i])} mJ"
+        text = f"vehicle {v} {took} up to tick {t} in {int(during[i])} ticks of charging"
+        yield Breach(BreachKind.ENERGY, t, (v,), -1, text)
+
+
+def max_charge_mj(scenario: Scenario) -> int:
+    """Most that a charger gives per tick, losses included."""
+    charger, tick_s = scenario.charger, scenario.time.tick_s
+    power_w = charger.power_w
+    if charger.rate_percent_per_s is not None:
+        power_w = charger.rate_percent_per_s / 100 * scenario.battery.capacity_wh * 3600
+    return math.ceil(power_w * tick_s * 1000)
+
+
+def _batteries(s: _Samples, log: RunLog, scenario: Scenario) -> Iterator[Breach]:
+    """Charge falls by what the ledger's components sum to, and stays between empty and full.
+
+    The only other way to change it is to change the battery, which is an event.
+    """
+    battery = scenario.battery
+    if battery.model not in ("linear", "coulomb"):
+        return
+    exact = battery.model == "linear"
+    volt = 1000 if exact else round(battery.voltage_v * 1000)
+    capacity = round(battery.capacity_wh * 3600 * 1_000_000 / volt)
+    for i in np.nonzero((s.charge < 0) | (s.charge > capacity))[0][:REPORTED].tolist():
+        v, t = int(s.vehicle[i]), int(s.tick[i])
+        text = f"the charge of vehicle {v} at tick {t} is {s.charge[i] / capacity:.2%} of its capacity"
+        yield Breach(BreachKind.SOC, t, (v,), -1, text)
+    start = np.maximum.accumulate(np.where(~s.follows, np.arange(len(s.tick)), 0))
+    total = s.ledger.sum(1)
+    expected = s.charge[start] - (total - total[start]) * 1000 // volt
+    off = s.charge - expected
+    jump = np.where(s.follows, np.diff(off, prepend=0), 0)
+    for vehicle, tick in _battery_changes(log):
+        at = int(np.searchsorted((s.vehicle << 32) + s.tick, (vehicle << 32) + tick, side="left"))
+        jump[at : at + 1] = 0
+    wrong = (np.abs(jump) > (0 if exact else 1)) | (s.voltage != volt)
+    for i in np.nonzero(wrong)[0][:REPORTED].tolist():
+        v, t = int(s.vehicle[i]), int(s.tick[i])
+        text = f"the charge of vehicle {v} at tick {t} is {int(jump[i])} mC off what its ledger says"
+        if s.voltage[i] != volt:
+            text = f"the voltage of vehicle {v} at tick {t} is {int(s.voltage[i])} mV; {volt} are right"
+        yield Breach(BreachKind.BATTERY, t, (v,), -1, text)
+
+
+def _battery_changes(log: RunLog) -> list[tuple[int, int]]:
+    """Vehicle and tick of every battery change."""
+    e = log.table("events")
+    rows = np.nonzero(e["kind"] == "battery changed")[0]
+    return list(zip(e["vehicle"][rows].tolist(), e["tick"][rows].tolist(), strict=True))

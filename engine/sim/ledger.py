@@ -1,0 +1,100 @@
+"""Rows on their way to the log: drains the kernel's buffers, folds every row into the digest, hands them on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.results.schema import NOT_IN_DIGEST, OUTSIDE_DIGEST, TABLES
+from engine.sim.kernels import digest
+from engine.sim.state import Sink
+
+_NUMPY = {"int8": np.int8, "int16": np.int16, "int32": np.int32, "int64": np.int64, "uint8": np.uint8}
+_DRAINED = ("motions", "battery", "states")
+
+
+class Recorder(Protocol):
+    """Anything that takes rows: the RunLog, a Rerun recording, memory."""
+
+    def write(self, table: str, columns: Mapping[str, Any]) -> None:
+        """Rows of a table as equally long columns."""
+        ...
+
+
+class Ledger:
+    """The digest, and the rows since the last flush. Rows of a table keep their order, however often it is flushed."""
+
+    def __init__(self, recorder: Recorder | None):
+        self.recorder = recorder
+        self.rows: dict[str, int] = dict.fromkeys(TABLES, 0)
+        self._lanes = {name: np.array([1, 2], np.uint64) for name in _DRAINED}
+        self._chain = b""
+        self._pending: dict[str, list[Sequence[Any]]] = {}
+
+    def drain(self, sink: Sink) -> None:
+        """Take the kernel's rows."""
+        for i, (name, rows) in enumerate(zip(_DRAINED, (sink.motions, sink.battery, sink.states), strict=True)):
+            n = int(sink.filled[i])
+            if n:
+                digest(self._lanes[name], rows, n)
+                self.send(name, rows[:n])
+                self.rows[name] += n
+                sink.filled[i] = 0
+
+    def send(self, name: str, rows: NDArray[np.int64]) -> None:
+        """Rows (n, columns) of integers straight to the recorder."""
+        if self.recorder is None:
+            return
+        columns = TABLES[name].items()
+        self.recorder.write(name, {c: rows[:, i].astype(_NUMPY[kind]) for i, (c, kind) in enumerate(columns)})
+
+    def row(self, table: str, *values: Any) -> None:
+        """One row of a table, values in the order of its columns."""
+        skip = OUTSIDE_DIGEST.get(table, frozenset())
+        if table not in NOT_IN_DIGEST:
+            kept = [v for c, v in zip(TABLES[table], values, strict=True) if c not in skip]
+            text = json.dumps([table, *kept], separators=(",", ":"), default=_plain)
+            self._chain = hashlib.blake2b(self._chain + text.encode(), digest_size=16).digest()
+        self.rows[table] += 1
+        if self.recorder is not None:
+            self._pending.setdefault(table, []).append(values)
+
+    def flush(self) -> None:
+        """Hand the single rows to the recorder."""
+        if self.recorder is None:
+            return
+        for table, rows in self._pending.items():
+            columns: dict[str, Any] = {}
+            for i, (name, kind) in enumerate(TABLES[table].items()):
+                values = [r[i] for r in rows]
+                columns[name] = np.array(values, _NUMPY[kind]) if kind in _NUMPY else values
+            self.recorder.write(table, columns)
+        self._pending.clear()
+
+    def digest(self) -> str:
+        """Hex digest of all rows so far."""
+        parts = b"".join(self._lanes[name].tobytes() for name in _DRAINED)
+        return hashlib.blake2b(parts + self._chain, digest_size=16).hexdigest()
+
+    def to_plain(self) -> dict[str, Any]:
+        """Plain values for a checkpoint; call after `flush`."""
+        return {
+            "rows": self.rows,
+            "chain": self._chain.hex(),
+            "lanes": {name: [int(x) for x in lane] for name, lane in self._lanes.items()},
+        }
+
+    def restore(self, plain: Mapping[str, Any]) -> None:
+        """Undo `to_plain`."""
+        self.rows = {**dict.fromkeys(TABLES, 0), **plain["rows"]}
+        self._chain = bytes.fromhex(plain["chain"])
+        self._lanes = {name: np.array(lane, np.uint64) for name, lane in plain["lanes"].items()}
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else int(value)

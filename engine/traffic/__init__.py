@@ -1,0 +1,30 @@
+"""Traffic: reservations by interval, plans under execution, the shared route timer."""
+
+from engine.traffic.claims import Claims, claim, gap_at, gap_end, grown, new_claims, release
+from engine.traffic.departures import HORIZON, STAY, GraphArrays, Ground, departure, graph_arrays, ground_of
+from engine.traffic.steps import Steps, commit, forget, lift, new_steps, put_back, retime, wider
+
+__all__ = [
+    "HORIZON",
+    "STAY",
+    "Claims",
+    "GraphArrays",
+    "Ground",
+    "Steps",
+    "claim",
+    "commit",
+    "departure",
+    "forget",
+    "gap_at",
+    "gap_end",
+    "graph_arrays",
+    "ground_of",
+    "grown",
+    "lift",
+    "new_claims",
+    "new_steps",
+    "put_back",
+    "release",
+    "retime",
+    "wider",
+]

@@ -1,0 +1,128 @@
+"""When a motion may start: the occupancy rules, as searches and the route timer read them.
+
+`hold`: a vehicle holds the place it leaves, the place it enters and the corners it sweeps for the whole motion, and for
+`margin` ticks more. `mapf`: unit motions; following into a just-vacated place is allowed, swapping and crossing is not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from engine.traffic.claims import Claims, gap_end
+from engine.types import FOREVER
+from engine.world.motion_graph import MotionGraph
+
+I32 = NDArray[np.int32]
+
+STAY = -2
+"""Edge code of a stay at a goal."""
+
+HORIZON = 1 << 22
+"""Ticks ahead beyond which nothing is planned; keeps packed costs within 63 bits."""
+
+
+class GraphArrays(NamedTuple):
+    """The arrays of a MotionGraph that the step and traffic read."""
+
+    state_place: NDArray[np.int32]
+    state_heading: NDArray[np.int8]
+    edge_from: NDArray[np.int32]
+    edge_to: NDArray[np.int32]
+    edge_kind: NDArray[np.int8]
+    edge_twin: NDArray[np.int32]
+    sweep_ptr: NDArray[np.int32]
+    sweep: NDArray[np.int32]
+    kind_ticks: NDArray[np.int32]
+    kind_mm: NDArray[np.int32]
+
+
+def graph_arrays(graph: MotionGraph) -> GraphArrays:
+    """Those arrays of a graph."""
+    return GraphArrays(*(getattr(graph, name) for name in GraphArrays._fields))
+
+
+class Ground(NamedTuple):
+    """What a search reads of the floor: CSR arrays of MotionGraph, and the blocked places of the overlay."""
+
+    state_place: I32
+    edge_ptr: I32
+    edge_to: I32
+    edge_kind: NDArray[np.int8]
+    edge_twin: I32
+    sweep_ptr: I32
+    sweep: I32
+    place_ptr: I32
+    kind_ticks: I32
+    blocked: NDArray[np.uint8]
+
+
+def ground_of(graph: MotionGraph, blocked: NDArray[np.uint8]) -> Ground:
+    """Those arrays of a graph, with the blocked places of the overlay."""
+    arrays = [getattr(graph, name) for name in Ground._fields[:-1]]
+    return Ground(*arrays, blocked)
+
+
+@njit(cache=True, nogil=True)
+def crosses(c: Claims, a: int, b: int, tick: int) -> bool:
+    """True when one vehicle goes from place a to place b during [tick, tick+1) under the classical rule."""
+    at = c.next[a]
+    while at >= 0:
+        if c.end[at] == tick + 1:
+            other = c.next[b]
+            while other >= 0:
+                if c.start[other] == tick + 1 and c.owner[other] == c.owner[at]:
+                    return True
+                other = c.next[other]
+        at = c.next[at]
+    return False
+
+
+@njit(cache=True, nogil=True)
+def departure(
+    c: Claims, g: Ground, hold: bool, margin: int, e: int, u: int, v: int, gap: int, t: int, until: int
+) -> int:
+    """Earliest tick ≥ t at which a motion from u may start into the free interval of v behind claim `gap`, or FOREVER.
+
+    `until`: end of the vehicle's own free interval at u.
+    """
+    ticks = g.kind_ticks[g.edge_kind[e]]
+    close = gap_end(c, gap)
+    if hold:
+        begin = max(t, c.end[gap])
+        first, last = g.sweep_ptr[e], g.sweep_ptr[e + 1]
+        while True:
+            if begin + ticks + margin > until or begin + ticks + margin > close:
+                return FOREVER
+            later = begin
+            for q in range(first, last):
+                corner = g.sweep[q]
+                if g.blocked[corner]:
+                    return FOREVER
+                at = corner
+                while True:
+                    free = max(later, c.end[at])
+                    after = c.next[at]
+                    if after < 0 or free + ticks + margin <= c.start[after]:
+                        break
+                    at = after
+                later = free
+                if later >= FOREVER:
+                    return FOREVER
+            if later == begin:
+                return begin
+            begin = later
+    begin = max(t, c.end[gap] - 1)
+    while True:
+        if begin + 1 > until or begin + 2 > close:
+            return FOREVER
+        clash = crosses(c, v, u, begin)
+        if not clash and g.sweep_ptr[e + 1] - g.sweep_ptr[e] == 2:
+            a, b = g.sweep[g.sweep_ptr[e]], g.sweep[g.sweep_ptr[e] + 1]
+            clash = crosses(c, a, b, begin) or crosses(c, b, a, begin)
+        if not clash:
+            return begin
+        begin += 1
