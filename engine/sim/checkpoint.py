@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 ARRAYS = "state.npz"
 PLAIN = "state.json"
-_OWN = ("home", "holder", "must_charge", "charge_later", "charger_out", "blocked", "_clock", "_linger")
-_PLAIN = ("thresholds", "needs_plan", "queue", "commands", "done", "deadlocks", "block_version", "_retry")
+_OWN = ("home", "holder", "must_charge", "charge_later", "charger_out", "try_at", "blocked", "clock", "linger")
+_PLAIN = ("thresholds", "needs_plan", "queue", "commands", "done", "deadlocks", "block_version", "retry")
 
 
 @cache

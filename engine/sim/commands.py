@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from engine.errors import BadInput, unknown_name
+from engine.sim import deciding, operating, planning, recovery
 from engine.types import NONE, OrderState
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def _place(sim: Simulation, place: int) -> str:
 def _order(sim: Simulation, source: int, to: int) -> str:
     for number in (source, to):
         sim.world.station(number)
-    order = sim.add_order(source, to, source=1)
+    order = deciding.add_order(sim, source, to, source=1)
     return f"order {order} from {sim.world.station(source).name} to {sim.world.station(to).name}"
 
 
@@ -97,12 +98,12 @@ def _withdraw(sim: Simulation, order: int) -> str:
     if state is OrderState.OPEN:
         book.open.remove(order)
     else:
-        if sim.in_service(vehicle):
+        if planning.service(sim, vehicle) is not None:
             raise Refused(f"vehicle {vehicle} is just picking order {order} up")
-        sim.release_order(vehicle)
+        operating.release_order(sim, vehicle)
     book.state[order] = int(OrderState.WITHDRAWN)
     sim.reasons.pop(order, None)
-    sim.order_row(order)
+    deciding.order_row(sim, order)
     return f"order {order} is withdrawn"
 
 
@@ -130,9 +131,9 @@ def _send(sim: Simulation, vehicle: int, place: int) -> str:
     holder = int(sim.holder[place])
     if holder not in (NONE, v):
         raise Refused(f"cell {cell} is taken by vehicle {holder}")
-    if sim.world.endpoint[place] and not sim.is_rest(place):
+    if sim.world.endpoint[place] and not operating.is_rest(sim, place):
         raise Refused(f"cell {cell} is a station; nothing may park there")
-    if not sim.send_to(v, place):
+    if not operating.send_to(sim, v, place):
         raise Refused(f"vehicle {v} found no way to {cell} that ends without blocking others")
     return f"vehicle {v} goes to {cell}"
 
@@ -158,7 +159,7 @@ def _fail(sim: Simulation, vehicle: int) -> str:
     if sim.fleet.failed[v]:
         raise Refused(f"vehicle {v} is already broken down")
     sim.say("breakdown", f"vehicle {v} was taken out by the operator", 2, v)
-    sim.fail(v)
+    recovery.fail(sim, v)
     return f"vehicle {v} stops at its next place and stays there until it is repaired"
 
 
@@ -169,7 +170,7 @@ def _repair(sim: Simulation, vehicle: int) -> str:
     if sim.fleet.charge[v] <= 0:
         sim.fleet.charge[v] = sim.levels.capacity[v] // 10
         sim.say("battery changed", f"vehicle {v} got a battery at 10 %", 1, v)
-    sim.repair(v)
+    recovery.repair(sim, v)
     return f"vehicle {v} works again"
 
 
@@ -177,7 +178,7 @@ def _block(sim: Simulation, place: int) -> str:
     cell = _place(sim, place)
     if sim.blocked[place]:
         raise Refused(f"cell {cell} is already blocked")
-    sim.set_block(place, True)
+    operating.set_block(sim, place, True)
     return f"cell {cell} is blocked"
 
 
@@ -185,7 +186,7 @@ def _unblock(sim: Simulation, place: int) -> str:
     cell = _place(sim, place)
     if not sim.blocked[place]:
         raise Refused(f"cell {cell} is not blocked")
-    sim.set_block(place, False)
+    operating.set_block(sim, place, False)
     return f"cell {cell} is free again"
 
 
@@ -193,7 +194,7 @@ def _charger_out(sim: Simulation, charger: int) -> str:
     _charger(sim, charger)
     if sim.charger_out[charger]:
         raise Refused(f"charger C{charger + 1} is already out of order")
-    sim.set_charger(charger, works=False)
+    operating.set_charger(sim, charger, works=False)
     return f"charger C{charger + 1} is out of order"
 
 
@@ -201,7 +202,7 @@ def _charger_back(sim: Simulation, charger: int) -> str:
     _charger(sim, charger)
     if not sim.charger_out[charger]:
         raise Refused(f"charger C{charger + 1} is in order")
-    sim.set_charger(charger, works=True)
+    operating.set_charger(sim, charger, works=True)
     return f"charger C{charger + 1} works again"
 
 
@@ -225,7 +226,7 @@ def _thresholds(sim: Simulation, **given: float) -> str:
             raise BadInput(f"{name!r} must lie between 0 and 1; got {value:g}")
     if not new["critical"] <= new["good"] <= new["sufficient"] <= new["full"]:
         raise BadInput("thresholds must rise: critical ≤ good ≤ sufficient ≤ full")
-    sim.set_thresholds(new)
+    operating.set_thresholds(sim, new)
     return "thresholds: " + ", ".join(f"{k} {100 * v:.0f} %" for k, v in new.items())
 
 

@@ -115,6 +115,9 @@ def departure(
             if later == begin:
                 return begin
             begin = later
+    for q in range(g.sweep_ptr[e], g.sweep_ptr[e + 1]):
+        if g.blocked[g.sweep[q]]:
+            return FOREVER
     begin = max(t, c.end[gap] - 1)
     while True:
         if begin + 1 > until or begin + 2 > close:

@@ -71,7 +71,8 @@ def _stays(r: Record, margin: int, hold: bool) -> Held:
     order = np.lexsort((is_entry, row))
     row, is_entry = row[order], is_entry[order]
     place = np.where(is_entry, r.b[row], r.a[row])
-    begin = r.t0[row]
+    # under mapf a place belongs to a vehicle from the tick after it sets out for it: where it begins, one tick earlier
+    begin = r.t0[row] - (0 if hold else ~is_entry)
     end = np.full(len(row), FOREVER, np.int64)
     same = r.vehicle[row][1:] == r.vehicle[row][:-1]
     leave = row[1:]

@@ -81,32 +81,30 @@ def _meetings(graph: MotionGraph, at: NDArray[np.int64], occupancy: Occupancy) -
     corners = _corners(graph)
     for t in range(at.shape[1]):
         now = at[:, t]
-        where: dict[int, int] = {}
+        where: dict[int, list[int]] = {}
         for v, place in enumerate(now.tolist()):
-            if place in where:
-                text = f"vehicles {where[place]} and {v} are both at place {place} at tick {t}"
-                yield Breach(BreachKind.VERTEX, t, (where[place], v), place, text)
-            elif place >= 0:
-                where[place] = v
+            for w in where.get(place, ()):
+                text = f"vehicles {w} and {v} are both at place {place} at tick {t}"
+                yield Breach(BreachKind.VERTEX, t, (w, v), place, text)
+            where.setdefault(place, []).append(v)
         if t + 1 == at.shape[1]:
             return
         then = at[:, t + 1]
-        diagonals: dict[frozenset[int], int] = {}
+        diagonals: dict[frozenset[int], list[int]] = {}
         for v in np.nonzero(now != then)[0].tolist():
             a, b = int(now[v]), int(then[v])
-            w = where.get(b, v)
-            if w != v and then[w] == a and v < w:
-                text = f"vehicles {v} and {w} drive through each other between places {a} and {b} at tick {t}"
-                yield Breach(BreachKind.SWAP, t, (v, w), b, text)
-            elif w != v and then[w] not in (a, b) and occupancy == Occupancy.HOLD:
-                text = f"vehicle {v} drives into place {b} at tick {t} while vehicle {w} is leaving it"
-                yield Breach(BreachKind.VERTEX, t, (min(v, w), max(v, w)), b, text)
+            for w in where.get(b, ()):
+                if then[w] == a and v < w:
+                    text = f"vehicles {v} and {w} drive through each other between places {a} and {b} at tick {t}"
+                    yield Breach(BreachKind.SWAP, t, (v, w), b, text)
+                elif then[w] not in (a, b) and occupancy == Occupancy.HOLD:
+                    text = f"vehicle {v} drives into place {b} at tick {t} while vehicle {w} is leaving it"
+                    yield Breach(BreachKind.VERTEX, t, (min(v, w), max(v, w)), b, text)
             if (a, b) in corners:
-                crossed = diagonals.get(corners[a, b])
-                if crossed is not None:
-                    text = f"vehicles {crossed} and {v} cross each other's diagonal at tick {t}"
-                    yield Breach(BreachKind.CROSSING, t, (crossed, v), b, text)
-                diagonals[frozenset((a, b))] = v
+                for w in diagonals.get(corners[a, b], ()):
+                    text = f"vehicles {w} and {v} cross each other's diagonal at tick {t}"
+                    yield Breach(BreachKind.CROSSING, t, (w, v), b, text)
+                diagonals.setdefault(frozenset((a, b)), []).append(v)
 
 
 def _corners(graph: MotionGraph) -> dict[tuple[int, int], frozenset[int]]:

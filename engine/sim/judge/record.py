@@ -81,8 +81,11 @@ def record_of(log: RunLog, graph: MotionGraph) -> Record:
     col = {name: np.asarray(motions[name], np.int64) for name in (*names, "energy_mj")}
     end = int(col["t1"].max()) if len(col["t1"]) else 0
     ticks = np.asarray(frames["tick"], np.int64)
-    latest = ticks == ticks[-1] if len(ticks) else np.zeros(0, np.bool_)
+    latest = np.zeros(0, np.int64)
     if len(ticks):
+        # one row per vehicle, the last written at that tick
+        rows = np.nonzero(ticks == ticks[-1])[0][::-1]
+        latest = rows[np.unique(np.asarray(frames["vehicle"])[rows], return_index=True)[1]]
         end = max(end, int(ticks[-1]))
     is_open = {name: np.asarray(frames[name], np.int64)[latest] for name in col}
     ended = np.zeros(int(max(is_open["vehicle"].max(initial=-1), col["vehicle"].max(initial=-1))) + 1, np.int64)

@@ -1,0 +1,164 @@
+"""Putting plans on the floor: asking the planner, committing its claims, re-timing them, giving them up."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from engine import traffic
+from engine.planners.base import Budget, Leg, Plan, Request, View
+from engine.sim import deciding
+from engine.sim.state import HOLD, LATE, MARGIN
+from engine.types import FOREVER, NONE, Activity, Task
+from engine.units import ticks_from_s
+
+if TYPE_CHECKING:
+    from engine.sim.simulation import Simulation
+
+
+def service_ticks(sim: Simulation) -> tuple[int, int]:
+    service = sim.scenario.service
+    return max(1, ticks_from_s(service.pick_s, sim.tick_s)), max(1, ticks_from_s(service.drop_s, sim.tick_s))
+
+
+def send(sim: Simulation, v: int, legs: tuple[Leg, ...], rests: tuple[int, ...], task: Task, order: int) -> bool:
+    """Plan a vehicle through legs to the first rest place that works, and commit it; False leaves all as it was."""
+    for rest in rests:
+        final = Activity.CHARGE if sim.view.is_charger[rest] else Activity.REST
+        if plan(sim, v, (*legs, Leg(rest, 0, final, False)), final, task, order):
+            return True
+    return False
+
+
+def plan(sim: Simulation, v: int, legs: tuple[Leg, ...], final: Activity, task: Task, order: int) -> bool:
+    f, p, c = sim.fleet, sim.steps, sim.claims
+    retime(sim)
+    state, tick = start_of(sim, v)
+    here, step, steps = int(f.here[v]), int(f.step[v]), int(f.steps[v])
+    gap = traffic.lift(c, p, v, here, step, steps)
+    view = View(
+        sim.graph, sim.world.occupancy, sim.world.margin_ticks, sim.parts.costs, c, sim.blocked,
+        sim.block_version, sim.search, Request(v, state, int(gap), tick, int(f.cls[v]), legs),
+    )  # fmt: skip
+    begun = sim.clock_ns()
+    plan, sim.memory = sim.parts.planner.plan(view, sim.memory, Budget())
+    cpu_us = (sim.clock_ns() - begun) // 1000
+    if not plan.found:
+        traffic.put_back(c, p, v, here, step, steps)
+        sim.ledger.row(
+            "plans", sim.tick, v, int(task), order, str(plan.status), [], [], [], tick, tick, 0, plan.expanded,
+            cpu_us,
+        )  # fmt: skip
+        return False
+    traffic.forget(c, p, v, step, steps, False)
+    commit(sim, v, plan)
+    f.final[v] = int(final)
+    settle(sim, v, legs[-1].place)
+    plan_row(sim, v, plan, task, order, tick, cpu_us)
+    if len(plan.edges) == 0 and f.t1[v] == FOREVER:
+        f.task[v] = int(task)
+        deciding.arrived(sim, v)
+    return True
+
+
+def start_of(sim: Simulation, v: int) -> tuple[int, int]:
+    """Motion state and tick from which a new plan for a vehicle starts."""
+    f = sim.fleet
+    if f.t1[v] < FOREVER:
+        state = int(sim.graph.edge_to[f.edge[v]]) if f.edge[v] >= 0 else int(f.state[v]) & ~1
+        return state, int(f.t1[v])
+    rolling = f.rolled[v] == sim.tick
+    return (int(f.state[v]) if rolling else int(f.state[v]) & ~1), sim.tick
+
+
+def commit(sim: Simulation, v: int, plan: Plan) -> None:
+    f, n = sim.fleet, len(plan.edges)
+    if n > sim.steps.edge.shape[1]:
+        sim.steps = traffic.wider(sim.steps, n)
+    while sim.claims.meta[0] < 3 * n + 8:
+        sim.claims = traffic.grown(sim.claims, sim.graph.n_places)
+    traffic.commit(
+        sim.claims, sim.steps, sim.arrays, bool(sim.clock[HOLD]), int(sim.clock[MARGIN]), v,
+        int(f.here[v]), plan.edges, plan.what, plan.starts, plan.ends, n,
+    )  # fmt: skip
+    f.step[v], f.steps[v] = 0, n
+    f.stalled[v] = -1
+
+
+def plan_row(sim: Simulation, v: int, plan: Plan, task: Task, order: int, tick: int, cpu_us: int) -> None:
+    c, p, f = sim.claims, sim.steps, sim.fleet
+    slots = [int(f.here[v]), *(int(s) for s in p.claim[v, : len(plan.edges)] if s >= 0)]
+    end = int(plan.ends[-1]) if len(plan.ends) else tick
+    sim.ledger.row(
+        "plans", sim.tick, v, int(task), order, plan.note or str(plan.status), c.place[slots].tolist(),
+        c.start[slots].tolist(),
+        c.end[slots].tolist(), tick, end, plan.energy_mj, plan.expanded, cpu_us,
+    )  # fmt: skip
+
+
+def retime(sim: Simulation) -> None:
+    clock, f = sim.clock, sim.fleet
+    if not clock[LATE]:
+        return
+    clock[LATE] = 0
+    ready = np.where(f.t1 < FOREVER, f.t1, np.maximum(f.hold, sim.tick)).astype(np.int32)
+    ready[f.paused == 1] = np.maximum(ready[f.paused == 1], sim.tick + 1)
+    traffic.retime(
+        sim.claims, sim.steps, sim.arrays, bool(clock[HOLD]), int(clock[MARGIN]), f.step, f.steps, f.here,
+        ready,
+    )  # fmt: skip
+
+
+def drop_plan(sim: Simulation, v: int) -> None:
+    """A vehicle gives up what it has not begun and stands where its present motion ends, until planned anew."""
+    f, c = sim.fleet, sim.claims
+    traffic.forget(c, sim.steps, v, int(f.step[v]), int(f.steps[v]), True)
+    f.steps[v] = f.step[v]
+    f.final[v] = int(Activity.WAIT)
+    f.stalled[v] = -1
+    c.end[f.here[v]] = FOREVER
+    sim.try_at[v] = 0
+    if v not in sim.needs_plan:
+        sim.needs_plan.append(v)
+
+
+def behind(sim: Simulation, v: int) -> list[int]:
+    """Vehicles that have reserved the place of a vehicle for later."""
+    c = sim.claims
+    out: list[int] = []
+    slot = int(c.next[sim.fleet.here[v]])
+    while slot >= 0:
+        owner = int(c.owner[slot])
+        if owner != v and owner not in out:
+            out.append(owner)
+        slot = int(c.next[slot])
+    return out
+
+
+def settle(sim: Simulation, v: int, place: int) -> None:
+    """Book a place as the end of a vehicle's plan."""
+    old = int(sim.home[v])
+    charger = sim.view.is_charger
+    if old == place:
+        return
+    if old != NONE and sim.holder[old] == v:
+        sim.holder[old] = NONE
+        if charger[old]:
+            charger_row(sim, old, v, 2)
+    sim.home[v] = place
+    sim.holder[place] = v
+    if charger[place]:
+        charger_row(sim, place, v, 1 if sim.graph.state_place[sim.fleet.state[v]] == place else 0)
+
+
+def charger_row(sim: Simulation, place: int, v: int, state: int) -> None:
+    charger = int(np.flatnonzero(sim.world.chargers == place)[0])
+    sim.ledger.row("chargers", sim.tick, charger, v, state)
+
+
+def service(sim: Simulation, v: int) -> Activity | None:
+    """PICK or DROP while a vehicle is at it."""
+    f = sim.fleet
+    busy = f.t1[v] < FOREVER and f.edge[v] == NONE
+    return Activity(int(f.kind[v])) if busy else None

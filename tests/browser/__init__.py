@@ -1,0 +1,1 @@
+"""A package, so that what is opened for these tests is closed after the last of them."""
