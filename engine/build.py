@@ -174,7 +174,7 @@ def source_of(scenario: Scenario, world: World, rng: np.random.Generator) -> Any
             if not found:
                 raise ScenarioError(f"orders.mix: the floor has no station of kind {kind!r}")
         mix.append((kinds[0], kinds[1], item.weight))
-    return Poisson(rng, orders.rate_per_h, mix, scenario.time.tick_s, orders.limit)
+    return Poisson(rng, orders.rate_per_h, mix, scenario.time.tick_s, orders.limit, orders.initial)
 
 
 def resume(folder: Path, *, recorder: Any = None, clock_ns: Callable[[], int] = lambda: 0) -> Any:

@@ -71,7 +71,8 @@ class Listed:
 class Poisson:
     """Arrivals with exponential gaps between kinds of stations.
 
-    mix: rows of (stations to come from, stations to go to, weight) · limit: number of orders, or None.
+    mix: rows of (stations to come from, stations to go to, weight) · limit: number of orders, or None · initial: orders
+    that wait already at tick 0.
     """
 
     def __init__(
@@ -81,11 +82,13 @@ class Poisson:
         mix: Sequence[tuple[Sequence[int], Sequence[int], float]],
         tick_s: float,
         limit: int | None,
+        initial: int = 0,
     ):
         self._rng, self._mix, self._tick_s = rng, mix, tick_s
         self._rate, self._left = rate_per_h, limit
         weights = np.array([w for _, _, w in mix])
         self._bounds = np.cumsum(weights / weights.sum())
+        self._initial = initial
         self._time = 0.0
         self._draw_gap()
 
@@ -95,17 +98,22 @@ class Poisson:
 
     @property
     def next_tick(self) -> int:
-        return FOREVER if self._left == 0 else int(self._time)
+        if self._left == 0:
+            return FOREVER
+        return 0 if self._initial else int(self._time)
 
     def take(self) -> tuple[int, int, int]:
-        tick = int(self._time)
+        tick = self.next_tick
         row = min(int(np.searchsorted(self._bounds, self._rng.random(), side="right")), len(self._mix) - 1)
         sources, targets, _ = self._mix[row]
         a = sources[int(self._rng.integers(len(sources)))]
         b = targets[int(self._rng.integers(len(targets)))]
         if self._left is not None:
             self._left -= 1
-        self._draw_gap()
+        if self._initial:
+            self._initial -= 1
+        else:
+            self._draw_gap()
         return tick, a, b
 
     def set_rate(self, per_h: float, tick: int) -> str:
@@ -114,12 +122,19 @@ class Poisson:
         return ""
 
     def start_at(self, tick: int) -> None:
-        self._time = float(tick)
+        self._time, self._initial = float(tick), 0
         self._draw_gap()
 
     def to_plain(self) -> dict[str, Any]:
-        return {"rng": self._rng.bit_generator.state, "rate": self._rate, "left": self._left, "time": self._time}
+        return {
+            "rng": self._rng.bit_generator.state,
+            "rate": self._rate,
+            "left": self._left,
+            "time": self._time,
+            "initial": self._initial,
+        }
 
     def restore(self, plain: Mapping[str, Any]) -> None:
         self._rng.bit_generator.state = plain["rng"]
         self._rate, self._left, self._time = plain["rate"], plain["left"], plain["time"]
+        self._initial = plain["initial"]

@@ -158,6 +158,7 @@ class OrdersSection(Section):
         min_length=1,
         description="Kinds of stations between which Poisson orders go, with weights",
     )
+    initial: int = Field(default=0, ge=0, le=10_000, description="Poisson orders already waiting at the start")
     limit: int | None = Field(default=None, ge=0, description="Number of Poisson orders; none is endless")
 
 
