@@ -38,6 +38,7 @@ class Cause(IntEnum):
     NO_PLAN = 5  # it asked for a plan and none was found yet
     CHARGER_QUEUE = 6  # it needs a charger and all are taken
     OPERATOR = 7  # paused by the operator
+    EMPTY = 8  # too little charge is left for the next motion
 
 
 class VehicleState(IntEnum):

@@ -22,7 +22,7 @@ from engine.errors import RunError
 from engine.replay import looks
 from engine.replay.floor_map import View2D, log_floor
 from engine.replay.sampler import HeldPlaces, MotionSampler, StepSampler, Window, flatten
-from engine.replay.sink import FileSink
+from engine.replay.sink import FileSink, is_finished
 from engine.replay.tallies import DONE, GROUPS, OPEN, RATE, OrderCounts, Shares
 from engine.results.runlog import checked
 from engine.results.schema import ENERGY_COLUMNS
@@ -37,8 +37,8 @@ BATCH_CELLS = 1 << 18
 """Vehicle samples per chunk, so that a chunk stays near 3 MB."""
 FIRST_BATCH, LAST_BATCH = 32, 4096
 """Sample ticks per chunk: small at first so that there is soon something to see, then doubling."""
-COARSER_AFTER = 6_000_000
-"""Vehicle samples (near 60 MB) after which the sampling step doubles, and again after as many more."""
+COARSER_AFTER = 3_000_000
+"""Vehicle samples (60 to 100 MB) after which the sampling step doubles, and again after as many more."""
 PER_VEHICLE, ROWS_PER_VEHICLE = frozenset({"states", "plans"}), 16
 """Tables that go to an entity per vehicle, and how many rows each must have on average in a large fleet."""
 SHARE_S = 60.0
@@ -144,6 +144,8 @@ class RerunRecorder:
         finally:
             self._recording.disconnect()
             self._sink.finish()
+        if not is_finished(self.path):
+            raise RunError(f"the recording {self.path} could not be finished")
 
     def __enter__(self) -> RerunRecorder:
         return self
@@ -159,6 +161,8 @@ class RerunRecorder:
 
     def _open(self, run_id: str) -> None:
         self._recording = rr.RecordingStream(APPLICATION, recording_id=run_id)
+        if not rr.is_enabled(self._recording):
+            raise RunError(f"the recording {self.path.name} can't be written: RERUN=off turns recording off")
         self._sink = FileSink(self.path)
         self._recording.save(self._sink.address)
         self._sink.opened()
@@ -320,7 +324,9 @@ class RerunRecorder:
         ):
             if parts := self._pop(table, last=last):
                 send(parts)
-        self._send_routes(self._pop("plans", last=last), until)
+        plans = self._pop("plans", last=last)
+        if not self._rows.get("plans"):
+            self._send_routes(plans, until)
         if last:
             self._send_levels(self._tick_end)
         orders = self._rows.pop("orders", [])

@@ -299,16 +299,16 @@ class RunLogWriter:
                 if parquet.exists():
                     segment_from_parquet(parquet, table)
                 for number, path in segments_of(self._log, table):
-                    scan = scan(path)
-                    if scan.end == 0:
+                    found = scan(path)
+                    if found.end == 0:
                         path.unlink()
                         continue
-                    if scan.end < path.stat().st_size:
-                        os.truncate(path, scan.end)
+                    if found.end < path.stat().st_size:
+                        os.truncate(path, found.end)
                     one = sets.setdefault(number, SegmentSet(number, 0))
-                    one.size += scan.end
-                    one.rows[table] = sum(scan.rows)
-                    self._rows[table] = max(self._rows[table], scan.first_row + one.rows[table])
+                    one.size += found.end
+                    one.rows[table] = sum(found.rows)
+                    self._rows[table] = max(self._rows[table], found.first_row + one.rows[table])
         for number, one in sets.items():
             path = self._log / f"keyframes.{number:03d}.arrows"
             if path.exists() and (first := next(batches_of(path), None)) is not None:
@@ -344,12 +344,12 @@ class RunLogWriter:
 
     def _cut(self, table: str, keep: int, number: int) -> None:
         for _, path in segments_of(self._log, table):
-            scan = scan(path)
-            if scan.first_row + sum(scan.rows) <= keep:
+            found = scan(path)
+            if found.first_row + sum(found.rows) <= keep:
                 continue
-            if scan.first_row < keep:
-                kept = first_rows(batches_of(path), keep - scan.first_row)
-                data = schema_bytes(table, scan.first_row) + b"".join(message_of(b) for b in kept)
+            if found.first_row < keep:
+                kept = first_rows(batches_of(path), keep - found.first_row)
+                data = schema_bytes(table, found.first_row) + b"".join(message_of(b) for b in kept)
                 replace_file(self._log / f"{table}.{number:03d}.arrows", data)
             path.unlink()
 

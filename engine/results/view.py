@@ -343,21 +343,28 @@ class RunView:
             int(Cause.NO_PLAN): "waits for a plan",
             int(Cause.CHARGER_QUEUE): "waits for a free charger",
             int(Cause.OPERATOR): "is held by the operator",
+            int(Cause.EMPTY): "has too little charge for its next motion",
         }.get(cause, "waits")
 
     def _cumulative(self) -> dict[str, NDArray[np.int64]]:
         """Running sums over the ended intervals in the timeline's order, one entry longer."""
 
         def build() -> dict[str, NDArray[np.int64]]:
-            row = self._motions.row
-            kind = self._m["kind"][row].astype(np.int64)
-            ticks = (self._m["t1"] - self._m["t0"])[row].astype(np.int64)
-            moving = kind >= PRIMITIVE_0
-            mm = np.where(moving, self._kind_mm[np.clip(kind - PRIMITIVE_0, 0, len(self._kind_mm) - 1)], 0)
-            moved = self._m["from_place"][row] != self._m["to_place"][row]
-            waits = np.where((kind == Activity.WAIT) | (kind == Activity.PAUSE), ticks, 0)
-            parts = {"mm": mm, "waiting": waits, "moves": moved.astype(np.int64)}
-            return {name: np.concatenate([[0], np.cumsum(values)]) for name, values in parts.items()}
+            # by kind from small tables, then one gather each: a million rows in a few hundredths of a second
+            kind = self._m["kind"]
+            mm_of_kind, waits = np.zeros(128, np.int32), np.zeros(128, np.int32)
+            mm_of_kind[PRIMITIVE_0 : PRIMITIVE_0 + len(self._kind_mm)] = self._kind_mm
+            waits[[Activity.WAIT, Activity.PAUSE]] = 1
+            parts = {
+                "mm": mm_of_kind[kind],
+                "waiting": (self._m["t1"] - self._m["t0"]) * waits[kind],
+                "moves": (self._m["from_place"] != self._m["to_place"]).astype(np.int32),
+            }
+            sums = {}
+            for name, values in parts.items():
+                sums[name] = np.zeros(len(kind) + 1, np.int64)
+                np.cumsum(values[self._motions.row], out=sums[name][1:])
+            return sums
 
         return self._cached("cumulative", build)  # type: ignore[no-any-return]
 

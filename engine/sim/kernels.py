@@ -44,6 +44,7 @@ WAIT, PICK, DROP, CHARGE = int(Activity.WAIT), int(Activity.PICK), int(Activity.
 REST, FAULT, PAUSE = int(Activity.REST), int(Activity.FAULT), int(Activity.PAUSE)
 C_NONE, C_PLANNED, C_VEHICLE, C_BLOCKED = int(Cause.NONE), int(Cause.PLANNED), int(Cause.VEHICLE), int(Cause.BLOCKED)
 C_DELAY, C_NO_PLAN, C_OPERATOR = int(Cause.DELAY), int(Cause.NO_PLAN), int(Cause.OPERATOR)
+C_EMPTY = int(Cause.EMPTY)
 V_IDLE, V_MOVING, V_WAITING = int(VehicleState.IDLE), int(VehicleState.MOVING), int(VehicleState.WAITING)
 V_LOADING, V_TO_CHARGER, V_CHARGING = (
     int(VehicleState.LOADING),
@@ -83,7 +84,7 @@ def close_interval(f: Fleet, g: GraphArrays, sink: Sink, total_mj: I64, v: int, 
     heading = g.state_heading[f.state[v]]
     row[0], row[1], row[2], row[3], row[4], row[5] = v, f.kind[v], f.cause[v], f.blocker[v], f.t0[v], t
     row[6], row[7], row[8], row[9] = here, here, heading, heading
-    row[10], row[11], row[12], row[13] = f.loaded[v], f.order[v], f.task[v], 0
+    row[10], row[11], row[12], row[13] = f.loaded[v], f.of_order[v], f.of_task[v], 0
     if f.edge[v] >= 0:
         to = g.edge_to[f.edge[v]]
         row[7], row[9] = g.state_place[to], g.state_heading[to]
@@ -96,10 +97,18 @@ def open_interval(
     f: Fleet, g: GraphArrays, sink: Sink, total_mj: I64, v: int, kind: int, cause: int, blocker: int, t: int, t1: int
 ) -> None:
     """Begin an interval unless the same one is already open."""
-    if f.kind[v] == kind and f.cause[v] == cause and f.blocker[v] == blocker and kind < P0 and t1 == f.t1[v]:
+    same = f.kind[v] == kind and f.cause[v] == cause and f.blocker[v] == blocker and f.t1[v] == t1
+    if same and kind < P0 and f.of_order[v] == f.order[v] and f.of_task[v] == f.task[v]:
         return
     close_interval(f, g, sink, total_mj, v, t)
+    begin_interval(f, v, kind, cause, blocker, t, t1)
+
+
+@njit(cache=True, nogil=True)
+def begin_interval(f: Fleet, v: int, kind: int, cause: int, blocker: int, t: int, t1: int) -> None:
+    """Set what the open interval is."""
     f.kind[v], f.cause[v], f.blocker[v], f.t0[v], f.t1[v] = kind, cause, blocker, t, t1
+    f.of_order[v], f.of_task[v] = f.order[v], f.task[v]
 
 
 @njit(cache=True, nogil=True)
@@ -148,7 +157,7 @@ def finish(
         f.loaded[v] = 0
         f.done[v] += 1
         mark(f, sink, clock, v, ORDER_DONE, t)
-    f.kind[v], f.cause[v], f.blocker[v], f.t0[v], f.t1[v] = WAIT, C_PLANNED, NONE, t, FOREVER
+    begin_interval(f, v, WAIT, C_PLANNED, NONE, t, FOREVER)
     if f.step[v] == f.steps[v]:
         mark(f, sink, clock, v, ARRIVED, t)
 
@@ -161,7 +170,16 @@ def first(c: Claims, slot: int) -> int:
 
 @njit(cache=True, nogil=True)
 def due(
-    f: Fleet, p: Steps, g: GraphArrays, sink: Sink, total_mj: I64, levels: Levels, clock: I64, v: int, t: int
+    f: Fleet,
+    p: Steps,
+    g: GraphArrays,
+    sink: Sink,
+    total_mj: I64,
+    standby_mj: I64,
+    levels: Levels,
+    clock: I64,
+    v: int,
+    t: int,
 ) -> bool:
     """True when a vehicle's next motion is due at t; otherwise it starts its stay, or says why it stands."""
     if f.failed[v]:
@@ -205,7 +223,20 @@ def due(
             if f.hold[v] > t:
                 open_interval(f, g, sink, total_mj, v, WAIT, C_DELAY, NONE, t, FOREVER)
                 return False
+    kind = g.edge_kind[p.edge[v, k]]
+    need = total_mj[f.cls[v], f.loaded[v], kind] + g.kind_ticks[kind] * standby_mj[f.cls[v]]
+    if need * 1000 > f.charge[v] * voltage(levels, f.charge[v], levels.capacity[v]):
+        open_interval(f, g, sink, total_mj, v, WAIT, C_EMPTY, NONE, t, FOREVER)
+        clock[LATE] = 1
+        return False
     return True
+
+
+@njit(cache=True, nogil=True)
+def voltage(levels: Levels, charge: int, capacity: int) -> int:
+    """Voltage in mV at a charge, from the battery's table."""
+    last = len(levels.voltage_mv) - 1
+    return levels.voltage_mv[min(max(charge * last // capacity, 0), last)]
 
 
 @njit(cache=True, nogil=True)
@@ -247,6 +278,7 @@ def start_steps(
     c: Claims,
     sink: Sink,
     total_mj: I64,
+    standby_mj: I64,
     levels: Levels,
     clock: I64,
     blocked: U8,
@@ -258,7 +290,7 @@ def start_steps(
     n = len(f.state)
     for v in range(n):
         go[v] = 0
-        if f.t1[v] < FOREVER or not due(f, p, g, sink, total_mj, levels, clock, v, t):
+        if f.t1[v] < FOREVER or not due(f, p, g, sink, total_mj, standby_mj, levels, clock, v, t):
             continue
         go[v] = GO
         k = f.step[v]
@@ -342,8 +374,7 @@ def draw_energy(
         if f.charge[v] > 0:
             f.ledger[v, STANDBY] += standby_mj[f.cls[v]]
             drawn += standby_mj[f.cls[v]]
-        at = f.charge[v] * (len(levels.voltage_mv) - 1) // levels.capacity[v]
-        volt = levels.voltage_mv[min(max(at, 0), len(levels.voltage_mv) - 1)]
+        volt = voltage(levels, f.charge[v], levels.capacity[v])
         if f.kind[v] == CHARGE:
             gross, net = levels.power[0], levels.power[1]
             room = ((levels.full[v] - f.charge[v]) * volt + 999) // 1000 + drawn
@@ -352,10 +383,14 @@ def draw_energy(
             f.ledger[v, CHARGED_MJ] -= gross
             f.ledger[v, LOSS] += gross - net
             drawn -= net
+        before = f.charge[v]
         work = drawn * 1000 + f.rest[v]
         moved = work // volt
+        if moved >= before > 0:
+            # standby gets what is left of the charge, and no more
+            f.ledger[v, STANDBY] -= drawn - (before * volt - f.rest[v]) // 1000
+            moved, work = before, before * volt
         f.rest[v] = work - moved * volt
-        before = f.charge[v]
         f.charge[v] = before - moved
         if before < levels.sufficient[v] <= f.charge[v]:
             mark(f, sink, clock, v, CHARGED, t + 1)
@@ -367,10 +402,9 @@ def draw_energy(
 def sample(f: Fleet, sink: Sink, levels: Levels, t: int) -> None:
     """A battery row for every vehicle."""
     for v in range(len(f.state)):
-        at = f.charge[v] * (len(levels.voltage_mv) - 1) // levels.capacity[v]
         row = sink.battery[sink.filled[1]]
         row[0], row[1], row[2] = t, v, f.charge[v]
-        row[3] = levels.voltage_mv[min(max(at, 0), len(levels.voltage_mv) - 1)]
+        row[3] = voltage(levels, f.charge[v], levels.capacity[v])
         row[4:] = f.ledger[v]
         f.sampled[v] = f.charge[v]
         sink.filled[1] += 1
@@ -419,7 +453,7 @@ def run(
         deep = max(sink.filled[0], sink.filled[1], sink.filled[2], sink.filled[3])
         if deep + 4 * n + 8 > len(sink.motions):
             return 2
-        start_steps(f, p, g, c, sink, total_mj, levels, clock, blocked, go, wait_for, t)
+        start_steps(f, p, g, c, sink, total_mj, standby_mj, levels, clock, blocked, go, wait_for, t)
         show_states(f, sink, t)
         draw_energy(f, g, sink, mj, standby_mj, levels, clock, t)
         if (t + 1) % clock[SAMPLE] == 0:

@@ -280,8 +280,8 @@ class Simulation:
         mj = np.where(driving, self.parts.costs.total_mj[f.cls, f.loaded, kinds], 0)
         columns = (
             np.full(self.n, self.tick), np.arange(self.n), f.kind, f.cause, f.blocker, f.t0, f.t1,
-            g.state_place[f.state], g.state_place[to], g.state_heading[f.state], g.state_heading[to], f.loaded, f.order,
-            f.task, mj, np.maximum(f.shown[:, 0], 0), f.charge, f.distance, f.done,
+            g.state_place[f.state], g.state_place[to], g.state_heading[f.state], g.state_heading[to], f.loaded,
+            f.of_order, f.of_task, mj, np.maximum(f.shown[:, 0], 0), f.charge, f.distance, f.done,
         )  # fmt: skip
         return np.stack([c.astype(np.int64) for c in columns], axis=1)
 

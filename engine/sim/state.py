@@ -32,6 +32,8 @@ class Fleet(NamedTuple):
     kind: I8  # the open interval, as in the log's motions
     cause: I8
     blocker: I32
+    of_order: I32  # order and task when the open interval began
+    of_task: I8
     t0: I32
     t1: I32  # FOREVER while the vehicle stands
     edge: I32  # motion under way, or -1
@@ -95,7 +97,8 @@ def new_fleet(n: int) -> Fleet:
         return np.zeros(n, np.int64)
 
     return Fleet(
-        state=i32(), kind=i8(Activity.REST), cause=i8(), blocker=i32(NONE), t0=i32(), t1=i32(FOREVER), edge=i32(NONE),
+        state=i32(), kind=i8(Activity.REST), cause=i8(), blocker=i32(NONE), of_order=i32(NONE),
+        of_task=i8(), t0=i32(), t1=i32(FOREVER), edge=i32(NONE),
         rolled=i32(-1), loaded=i8(), order=i32(NONE), task=i8(), final=i8(Activity.REST), step=i32(), steps=i32(),
         here=i32(NONE), back=i32(NONE), sweep=np.full((n, 2), NONE, np.int32), charge=i64(), rest=i64(),
         ledger=np.zeros((n, NC), np.int64), sampled=i64(), distance=i64(), done=i32(), cls=i8(), paused=i8(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import re
 import signal
@@ -365,6 +366,25 @@ def test_how_rows_are_batched_does_not_matter(recorded: Recorded, tmp_path: Path
     same_content(recorded.path, tmp_path / "other.rrd")
 
 
+def test_a_large_fleets_lanes_and_routes_come_in_larger_chunks(
+    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from engine.replay import looks
+    from engine.replay import recorder as module
+
+    monkeypatch.setattr(looks, "FEW", 2)
+    monkeypatch.setattr(module, "ROWS_PER_VEHICLE", 5)
+    with module.RerunRecorder(tmp_path / "a.rrd", recorded.scenario, recorded.world, run_id="large") as recorder:
+        for table, columns in shuffled_batches(recorded.log, 4):
+            recorder.write(table, columns)
+    few, many = read(recorded.path), read(tmp_path / "a.rrd")
+    for v in range(VEHICLES):
+        lane = (looks.lane(v, VEHICLES), "StateChange:state")
+        assert moving(many, *lane) == moving(few, *lane)
+        route = (looks.route(v), "LineStrips2D:strips")
+        assert moving(many, *route) == moving(few, *route)
+
+
 def test_a_rebuilt_recording_equals_the_one_written_meanwhile(recorded: Recorded, tmp_path: Path) -> None:
     from engine.replay import rebuild
 
@@ -545,6 +565,19 @@ def test_a_closed_recording_takes_nothing_more(recorded: Recorded, tmp_path: Pat
     assert verify(tmp_path / "a.rrd").returncode == 0
     with pytest.raises(RunError, match="closed"):
         recorder.write("events", recorded.log.table("events"))
+
+
+def test_a_recording_turned_off_by_the_environment_is_an_error(recorded: Recorded, tmp_path: Path) -> None:
+    code = (
+        "import sys; from tests.synthetic import *; from engine.replay.recorder import RerunRecorder;"
+        "s = parse(scenario_toml()); RerunRecorder(sys.argv[1], s, build_world(s), run_id='off').close()"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "a.rrd")]
+    told = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, "RERUN": "off"}, capture_output=True, text=True, timeout=60
+    )
+    assert told.returncode == 1
+    assert re.search("RunError: the recording .*: RERUN=off turns recording off", told.stderr)
 
 
 # ------------------------------------------------------------------------------------------------ viewer

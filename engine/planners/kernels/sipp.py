@@ -172,13 +172,16 @@ def search_time(
 
 
 @njit(cache=True, nogil=True)
-def dominated(w: Work, key: int, stamp: int, t: int, mj: int, moving: bool, standby: int, restart: int) -> bool:
+def dominated(
+    w: Work, key: int, stamp: int, t: int, mj: int, moving: bool, standby: int, restart: int, calm: int
+) -> bool:  # fmt: skip
     """True when a label at this key can do all that a new one at (t, mJ) can, at no more energy."""
     if w.seen[key] != stamp:
         return False
     at = w.best[key]
     while at >= 0:
-        wait = t - w.tick[at]
+        # nothing changes after `calm`: whoever is there by then has no reason to wait on
+        wait = min(t, calm) - min(w.tick[at], calm)
         if wait >= 0:
             reach = w.energy[at] + np.int64(wait) * standby
             if moving and wait > 0:
@@ -252,7 +255,7 @@ def search_energy(
                 s2 = s if stays[leg] == 0 else s & ~1
                 spent = mj + np.int64(stays[leg]) * standby
                 key = (gap * per_place + s2 - g.place_ptr[u]) * n_legs + leg + 1
-                if last or not dominated(w, key, stamp, t2, spent, s2 & 1 == 1, standby, restart):
+                if last or not dominated(w, key, stamp, t2, spent, s2 & 1 == 1, standby, restart, calm):
                     h = np.int64(0) if last else pool[slots[leg + 1], s2] + rest[leg + 1]
                     w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, gap, leg + 1, t2, spent
                     w.parent[n], w.edge[n], w.depart[n] = node, STAY, t
@@ -283,7 +286,7 @@ def search_energy(
             if h >= FAR:
                 continue
             key = (into * per_place + s2 - g.place_ptr[v]) * n_legs + leg
-            if dominated(w, key, stamp, t2, spent, s2 & 1 == 1, standby, restart):
+            if dominated(w, key, stamp, t2, spent, s2 & 1 == 1, standby, restart, calm):
                 continue
             w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, into, leg, t2, spent
             w.parent[n], w.edge[n], w.depart[n] = node, e, t
@@ -300,7 +303,7 @@ def search_energy(
                 s2 = s & ~1
                 spent = mj + standby
                 key = (gap * per_place + s2 - g.place_ptr[u]) * n_legs + leg
-                if not dominated(w, key, stamp, t + 1, spent, False, standby, restart):
+                if not dominated(w, key, stamp, t + 1, spent, False, standby, restart, calm):
                     w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, gap, leg, t + 1, spent
                     w.parent[n], w.edge[n], w.depart[n] = node, -1, t
                     waited[n] = 0
