@@ -67,6 +67,11 @@ def costs_of(scenario: Scenario, world: World, demand: str | None = None) -> Any
     return cost_table(world.graph.primitives, model, masses, scenario.time.tick_s)
 
 
+def beside_costs(scenario: Scenario, world: World) -> Any:
+    """Costs of the scenario's second demand model, or None when it names none."""
+    return costs_of(scenario, world, scenario.energy.beside) if scenario.energy.beside else None
+
+
 def planner_of(name: str, scenario: Scenario) -> Any:
     """A planner with the scenario's parameters. Raises ScenarioError."""
     from dataclasses import fields

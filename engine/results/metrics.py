@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.energy import CostTable
+from engine.results.beside import energy_beside
 from engine.results.runlog import Log, latest_keyframe
 from engine.results.schema import ENERGY_COLUMNS
 from engine.results.timeline import overlap_sums
@@ -18,11 +20,12 @@ SLICES = 48
 _NOT_DRAWN = (Component.CHARGED, Component.CHARGER_LOSS)
 
 
-def metrics(reader: Log, tick_s: float | None = None) -> dict[str, Any]:
+def metrics(reader: Log, tick_s: float | None = None, beside: CostTable | None = None) -> dict[str, Any]:
     """Numbers of a run as plain JSON values; None where there is nothing to divide by.
 
     tick_s: seconds per tick; left out, the log's manifest says. Times in s, energy in J, shares in [0, 1], throughput
     in orders per hour. `occupancy_by_place` is the share of the run during which each place was held, by place.
+    beside: costs of a second demand model, whose energy is added as information.
     """
     if tick_s is None:
         tick_s = float(reader.manifest.get("tick_s", 1.0))
@@ -45,6 +48,9 @@ def metrics(reader: Log, tick_s: float | None = None) -> dict[str, Any]:
         "energy_per_order_j": drawn / orders["orders_done"] if orders["orders_done"] else None,
         **_battery(reader),
         **_planning(reader),
+        **(
+            {} if beside is None else {"energy_beside_by_component": energy_beside(reader, beside, spans["fleet"], end)}
+        ),
     }
 
 

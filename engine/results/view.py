@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.energy import CostTable
 from engine.energy.battery import coulomb, linear
+from engine.results.beside import energy_beside
 from engine.results.runlog import Columns, Log, latest_keyframe
 from engine.results.schema import ENERGY_COLUMNS
 from engine.results.thresholds import Thresholds, thresholds_at
@@ -107,10 +109,14 @@ class _Now:
 
 
 class RunView:
-    """Answers about a run. reader: a LogReader or MemoryLog · scenario, world: what the run was built from."""
+    """Answers about a run.
 
-    def __init__(self, reader: Log, scenario: Scenario, world: World) -> None:
-        self.reader, self.scenario, self.world = reader, scenario, world
+    reader: a LogReader or MemoryLog · scenario, world: what the run was built from · beside: costs of the scenario's
+    second demand model, shown as information.
+    """
+
+    def __init__(self, reader: Log, scenario: Scenario, world: World, beside: CostTable | None = None) -> None:
+        self.reader, self.scenario, self.world, self.beside = reader, scenario, world, beside
         self.tick_s = float(scenario.time.tick_s)
         model = linear if scenario.battery.model == "linear" else coulomb
         self.capacity_mc = model(scenario.battery.capacity_wh, scenario.battery.voltage_v).capacity_mc
@@ -641,6 +647,7 @@ class RunView:
             "charging_share": shares["charging"],
             "energy_j": float(energy.sum()),
             "energy_per_order_j": float(energy.sum()) / int(done.sum()) if done.any() else None,
+            "beside_j": self._beside(time),
             "soc_mean": float(np.nanmean(poses.soc)) if not np.isnan(poses.soc).all() else None,
             "soc_min": float(np.nanmin(poses.soc)) if not np.isnan(poses.soc).all() else None,
             "stranded": int((poses.soc <= 0).sum()),
@@ -658,6 +665,13 @@ class RunView:
             "planner_p50_ms": float(np.percentile(plans, 50)) / 1000.0 if len(plans) else None,
             "planner_p95_ms": float(np.percentile(plans, 95)) / 1000.0 if len(plans) else None,
         }
+
+    def _beside(self, time: float) -> dict[str, Any] | None:
+        """The second demand model's name and energy in J, or None when the scenario has none."""
+        if self.beside is None:
+            return None
+        parts = energy_beside(self.reader, self.beside, self.n, time)
+        return {"model": self.scenario.energy.beside, "energy_j": sum(parts.values()), "components": parts}
 
     def _plan_times(self, t0: float, t1: float) -> NDArray[Any]:
         tick = self._p["tick"]
