@@ -341,23 +341,30 @@ class Intervals:
 
 @dataclass
 class Step:
-    """A step of the dependency graph: who, since when planned, how long, and which steps must have ended or begun."""
+    """A step of the dependency graph: planned start, duration, and what must have happened before it starts."""
 
     start: int
     span: int
     ready: int = 0
-    ended: list[int] = field(default_factory=list)  # starts no earlier than these end (and their margin)
-    begun: list[int] = field(default_factory=list)  # starts no earlier than these start
+    ended: list[int] = field(default_factory=list)  # these steps have ended
+    gone: list[int] = field(default_factory=list)  # these have ended, and the margin is over
+    begun: list[int] = field(default_factory=list)  # these have started
 
 
 def earliest_starts(steps: Sequence[Step], margin: int) -> list[int]:
-    """Longest paths: the least starts that keep every promise, by going round until nothing moves."""
+    """Longest paths: the least starts, none earlier than planned, that keep every promise; round until nothing moves."""
     start = [max(s.start, s.ready) for s in steps]
     moved = True
     while moved:
         moved = False
         for i, s in enumerate(steps):
-            least = max([start[i], *(start[j] + steps[j].span + margin for j in s.ended), *(start[j] for j in s.begun)])
+            least = max(
+                start[i],
+                *(start[j] + steps[j].span for j in s.ended),
+                *(start[j] + steps[j].span + margin for j in s.gone),
+                *(start[j] for j in s.begun),
+                0,
+            )
             if least != start[i]:
                 start[i], moved = least, True
     return start

@@ -60,6 +60,9 @@ class Ground:
             f"blocked={set(f.blocked)}, mj={total}, standby={standby}, reservations={self.reservations})"
         )
 
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        printer.text(repr(self))
+
     def goals(self, ask: Ask) -> list[naive.Goal]:
         """The request's legs as the naive search reads them."""
         total = self.costs.total_mj[ask.cls]
@@ -129,13 +132,14 @@ def graphs(draw: st.DrawFn, unit: bool = False, most: int = 4) -> MotionGraph:
 
 @st.composite
 def costs_of(draw: st.DrawFn, graph: MotionGraph) -> CostTable:
-    """Costs of xu2025 for two classes, or arbitrary ones."""
+    """Costs of xu2025 for two classes, or arbitrary ones where starting costs no less than rolling on."""
     if draw(st.booleans()):
         return cost_table(graph.primitives, model(draw(st.sampled_from([30.0, 0.0, 200.0]))), MASSES, 1.0)
     kinds = len(graph.primitives)
     mj = np.array(draw(st.lists(st.integers(0, 9), min_size=4 * kinds, max_size=4 * kinds)), np.int64)
     table = np.zeros((2, 2, kinds, 10), np.int64)
-    table[..., 0] = mj.reshape(2, 2, kinds)
+    # primitives come in pairs: rolling on, starting
+    table[..., 0] = np.sort(mj.reshape(2, 2, kinds // 2, 2)).reshape(2, 2, kinds)
     return CostTable(table, table.sum(axis=3), np.array([draw(st.integers(0, 3))] * 2, np.int64))
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from engine.energy import cost_table
 from engine.planners.base import Budget, Leg
+from engine.planners.kernels.sipp import new_work
 from engine.planners.search import FloorSearch, settled
 from engine.types import Activity, PlanStatus
 from engine.world.grid import GridMotion
@@ -46,7 +47,7 @@ def rest_at(place: int, state: int, tick: int = 0) -> Ask:
     return Ask(state, tick, 0, (Leg(place, 0, Activity.REST, False),))
 
 
-@settings(MANY, max_examples=260)
+@settings(MANY, max_examples=400)
 @given(st.data())
 def test_earliest_arrival(data: st.DataObject) -> None:
     ground = data.draw(grounds())
@@ -56,7 +57,7 @@ def test_earliest_arrival(data: st.DataObject) -> None:
             compare(ground, ask, "time")
 
 
-@settings(MANY, max_examples=160)
+@settings(MANY, max_examples=300)
 @given(st.data())
 def test_least_energy(data: st.DataObject) -> None:
     ground = data.draw(grounds(most=3))
@@ -137,9 +138,10 @@ def test_a_search_that_outgrows_its_room_begins_anew_with_more(objective: str) -
     gate = [(p, 0, 60 + p % 7, 1 + p) for p in range(graph.n_places) if p % 40 == 20]
     ground = Ground(naive.Floor(graph, True, 0), costs, FloorSearch(graph, costs), gate)
     ask = rest_at(graph.n_places - 1, 0)
+    ground.search._work = new_work(256, 1)
     small = ground.search.through(ground.view(ask), objective, Budget())
     assert small.found
-    assert len(ground.search._work.state) > 1 << 14
+    assert len(ground.search._work.state) > 1 << 11
     arrival, mj = naive.play(ground.floor, gate, ground.goals(ask), ground.standby(ask), 0, 0, small)
     assert mj == small.energy_mj
     assert arrival == small.ends[-1]
