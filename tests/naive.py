@@ -41,12 +41,12 @@ class Edge:
 class Floor:
     """A motion graph as lists, the occupancy rule, and what is blocked."""
 
-    graph: Any
+    graph: Any = field(repr=False)
     hold: bool
     margin: int
     blocked: frozenset[int] = frozenset()
-    edges: list[Edge] = field(init=False)
-    leaving: dict[int, list[Edge]] = field(init=False)
+    edges: list[Edge] = field(init=False, repr=False)
+    leaving: dict[int, list[Edge]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         g = self.graph

@@ -33,6 +33,7 @@ from engine.sim.state import (
     DELAY_PPM,
     HALF,
     HOLD,
+    LATE,
     LINGERING,
     MARGIN,
     PATIENCE,
@@ -340,10 +341,13 @@ class Simulation:
             here = int(self.fleet.here[v])
             if c.owner[here] != v:
                 raise InvariantBroken(f"vehicle {v} does not own the claim of its place")
+        if self.clock[LATE]:
+            return  # somebody is late: times are put right before the next plan, the order holds all the time
         for place in range(self.graph.n_places):
-            slot, past = int(c.next[place]), 0
+            before, slot = place, int(c.next[place])
             while slot >= 0:
-                if c.start[slot] < past or c.end[slot] < c.start[slot]:
+                # a vehicle that turns round at once may enter a place within its own margin
+                apart = c.end[before] <= c.start[slot] or c.owner[before] == c.owner[slot]
+                if not apart or c.end[slot] <= c.start[slot]:
                     raise InvariantBroken(f"claims of place {place} overlap at tick {c.start[slot]}")
-                past = int(c.end[slot])
-                slot = int(c.next[slot])
+                before, slot = slot, int(c.next[slot])

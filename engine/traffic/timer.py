@@ -78,9 +78,10 @@ def time_route(
                         begin = departure(c, g, hold, margin, e, at, v, into, t + 1, until)
                 if begin < t0 + HORIZON and count[i + 1] < room:
                     end = begin + g.kind_ticks[g.edge_kind[e]]
+                    # a pivot ends at rest
                     count[i + 1] = keep(
-                        label_gap, label_t, label_roll, came, began, used, count[i + 1], i + 1, into, end, 1, a, begin,
-                        e,
+                        label_gap, label_t, label_roll, came, began, used, count[i + 1], i + 1, into, end,
+                        g.edge_to[e] & 1, a, begin, e,
                     )  # fmt: skip
                 into = -1 if v == at else c.next[into]
         if items[i] != STAY:

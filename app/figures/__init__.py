@@ -1,0 +1,17 @@
+"""Figure builders: data in, plotly figure out. They know no Dash, no callback and no file."""
+
+from app.figures.bands import bands_figure
+from app.figures.energy import energy_figure
+from app.figures.occupancy import occupancy_figure
+from app.figures.reservations import reservations_figure
+from app.figures.soc import soc_figure
+from app.figures.throughput import throughput_figure
+
+__all__ = [
+    "bands_figure",
+    "energy_figure",
+    "occupancy_figure",
+    "reservations_figure",
+    "soc_figure",
+    "throughput_figure",
+]

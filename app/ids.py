@@ -1,0 +1,94 @@
+"""Ids of the dashboard's components; the browser's code knows those marked with *."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Shell(StrEnum):
+    """What stays while pages change."""
+
+    PROVIDER = "theme-provider"
+    URL = "url"  # *
+    THEME = "theme"  # * kept in the browser's local storage
+    THEME_SWITCH = "theme-switch"  # *
+    NOTIFY = "notify"  # *
+    HELP = "help"  # *
+    HELP_BUTTON = "help-button"
+    NAV = "nav"
+    TITLE = "title"
+    PAGE = "page"
+    STATUS = "wl-status"  # *
+    RUNS_CHANGED = "runs-changed"  # *
+    REBIND = "rebind"  # *
+
+
+class Stage(StrEnum):
+    """One run on the screen: Operate and Replay alike."""
+
+    CONFIG = "stage"
+    MAP = "map"  # *
+    TRANSPORT = "transport"  # *
+    TABS = "tabs"  # *
+    TABS_BOX = "tabs-box"
+    SELECTION = "selection"  # *
+    PULSE = "pulse"  # *
+    ACK = "pulse-ack"
+    EXTRA = "map-extra"
+    BOUND = "stage-bound"
+    SPAN = "chart-span"
+    SIDE = "side-panel"
+    BANNER = "run-banner"
+    SOC = "soc-graph"
+    OCCUPANCY = "occupancy-graph"
+    THROUGHPUT = "throughput-graph"
+    ENERGY = "energy-graph"
+    BANDS = "bands-graph"
+    RESERVATIONS = "reservations-graph"
+    RESERVATIONS_NOTE = "reservations-note"
+    EVENTS = "events-grid"
+    ORDERS = "orders-grid"
+    CHARGERS = "chargers-grid"
+    FLEET = "fleet-grid"  # *
+
+
+class Start(StrEnum):
+    """The start form."""
+
+    SCENARIO = "start-scenario"
+    PLANNER = "start-planner"
+    OBJECTIVE = "start-objective"
+    FLEET = "start-fleet"
+    SEED = "start-seed"
+    RATE = "start-rate"
+    MORE = "start-more"
+    BUTTON = "start-button"
+    ERROR = "start-error"
+    KEYS = "start-keys"
+
+
+class Operate(StrEnum):
+    """Commands that concern the whole run, and the list of runs."""
+
+    RUNS = "run-list"
+    ORDER_FROM = "order-from"  # *
+    ORDER_TO = "order-to"  # *
+    ORDER_BUTTON = "order-button"
+    RATE = "rate-value"
+    RATE_BUTTON = "rate-button"
+    LEVELS = "level"  # with -critical, -good …
+    LEVELS_BUTTON = "levels-button"
+
+
+class Replay(StrEnum):
+    """What a recorded run offers."""
+
+    FORK_PLANNER = "fork-planner"
+    FORK_SEED = "fork-seed"
+    FORK_MORE = "fork-more"
+    FORK_BUTTON = "fork-button"
+    FORK_ERROR = "fork-error"
+    RERUN_BUTTON = "rerun-button"
+    RERUN = "rerun-modal"
+    RERUN_HOST = "rerun-host"  # *
+    CATALOGUE = "catalogue"

@@ -1,0 +1,180 @@
+"""What the pages ask of the run manager and the scenarios, at one instant of one run. No Dash here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from app.figures.reservations import ribbon_rows
+from app.runs import RunManager
+
+POINTS = 240
+EVENT_ROWS = 300
+MARKS = 400
+SPANS: dict[str, float] = {"600": 600.0, "3600": 3600.0, "28800": 28800.0, "0": 0.0}
+"""Span of the charts in seconds by the value of its control; 0 is the whole run."""
+LANES_S = (600.0, 120.0)
+"""Of the reservations: so far back, and so far ahead."""
+LINES_FOR = 400
+"""Fleets up to this size send a curve of charge per vehicle."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What one update of the page wants to know."""
+
+    run_id: str
+    time_s: float | None  # None: now
+    tab: str
+    span_s: float = 3600.0
+    selection: dict[str, Any] | None = None
+    parts: frozenset[str] = frozenset()
+
+    @property
+    def vehicle(self) -> int | None:
+        chosen = self.selection or {}
+        return chosen["id"] if chosen.get("kind") == "vehicle" else None
+
+
+def known_selection(asked: Any) -> dict[str, Any] | None:
+    """What the browser says is selected, when it is well formed."""
+    if not isinstance(asked, dict) or asked.get("kind") not in ("vehicle", "station", "charger", "place"):
+        return None
+    number = asked.get("id")
+    return asked if isinstance(number, int) and not isinstance(number, bool) and number >= 0 else None
+
+
+@dataclass
+class Told:
+    """The answer: plain values and arrays, computed while the view was held."""
+
+    time_s: float
+    end_s: float
+    tick_s: float
+    levels: dict[str, float]
+    values: dict[str, Any] = field(default_factory=dict)
+
+
+def look(manager: RunManager, asked: Asked) -> Told:
+    """Everything the open tab and the side panel show of a run at an instant. Raises NoSuchRun, RunError."""
+    tick_s = float(manager.manifest(asked.run_id)["tick_s"])
+
+    def ask(view: Any) -> Told:
+        end = float(view.t_end)
+        at = end if asked.time_s is None else min(max(0.0, asked.time_s / tick_s), end)
+        told = Told(at * tick_s, end * tick_s, tick_s, dict(view.thresholds(at)._asdict()))
+        since = max(0.0, at - asked.span_s / tick_s) if asked.span_s else 0.0
+        told.values["since_s"] = since * tick_s
+        _side(view, at, asked, told)
+        _tab(view, since, at, asked, told)
+        told.values["blocked"] = blocked_places(view, at)
+        told.values["chargers_out"] = [c["place"] for c in view.chargers(at) if c["state"] == "out of order"]
+        if "marks" in asked.parts:
+            told.values["marks"] = marks(view, end)
+        return told
+
+    return manager.read(asked.run_id, ask)
+
+
+def _side(view: Any, at: float, asked: Asked, told: Told) -> None:
+    if asked.selection is None:
+        told.values["kpis"] = view.kpis(at)
+        return
+    told.values["fleet"] = view.fleet(at)
+    told.values["place_name"] = {}
+    place = asked.selection.get("place")
+    if isinstance(place, int) and 0 <= place < view.world.graph.n_places:
+        told.values["place_name"] = {place: view.world.place_name(place)}
+    if asked.selection["kind"] == "charger":
+        told.values["chargers"] = view.chargers(at)
+    if asked.selection["kind"] == "station":
+        told.values["orders"] = view.orders(at)
+
+
+def _tab(view: Any, since: float, at: float, asked: Asked, told: Told) -> None:
+    values, tab = told.values, asked.tab
+    if tab == "charts":
+        few = view.n <= LINES_FOR
+        values["soc"] = view.soc(since, at, POINTS if few else 120)
+        values["occupancy"] = view.occupancy(since, at, 120)
+        values["throughput"] = view.throughput(since, at, points=POINTS)
+        values["energy"] = view.energy(since, at, 120)
+    elif tab == "bands":
+        values["bands"] = [(v, a * told.tick_s, b * told.tick_s, s) for v, a, b, s in view.bands(since, at)]
+    elif tab == "reservations":
+        before, ahead = (seconds / told.tick_s for seconds in LANES_S)
+        values["lanes"] = (max(0.0, at - before), at + ahead)
+        values["reservations"] = view.reservations(*values["lanes"])
+        _, places = ribbon_rows(values["reservations"], *values["lanes"], asked.vehicle)
+        values["place_names"] = {int(p): view.world.place_name(int(p)) for p in places}
+    elif tab == "events":
+        values["events"] = view.events(0, at, EVENT_ROWS)
+    elif tab == "orders":
+        values["orders"] = view.orders(at)
+    elif tab == "chargers":
+        values["fleet"] = values.get("fleet") or view.fleet(at)
+        values["chargers"] = view.chargers(at)
+    elif tab == "fleet":
+        values["fleet"] = values.get("fleet") or view.fleet(at)
+
+
+def blocked_places(view: Any, at: float) -> list[int]:
+    """Places that are blocked at a tick, from the log."""
+    blocks = view.reader.table("blocks")
+    until = int(np.searchsorted(blocks["tick"], at, side="right"))
+    state: dict[int, bool] = {}
+    for place, blocked in zip(blocks["place"][:until].tolist(), blocks["blocked"][:until].tolist(), strict=True):
+        state[int(place)] = bool(blocked)
+    return [place for place, blocked in state.items() if blocked]
+
+
+def marks(view: Any, end: float) -> list[dict[str, Any]]:
+    """Moments for the time ruler: warnings and errors; all events where there are few."""
+    events = view.events(0, end, 5 * MARKS)
+    grave = [e for e in events if e["level"] > 0]
+    chosen = events if len(events) <= MARKS else grave
+    return [{"t": e["time_s"], "level": e["level"]} for e in chosen[:MARKS]]
+
+
+def scenarios() -> dict[str, str]:
+    """Built-in scenarios: name → title."""
+    import engine.scenario
+
+    return dict(engine.scenario.library())
+
+
+def scenario_values(name: str) -> dict[str, Any]:
+    """Settable keys of a scenario with their values, for the form: key → record of engine.scenario.parameters."""
+    import engine.scenario
+
+    return {row["key"]: row for row in engine.scenario.parameters(engine.scenario.load(name))}
+
+
+def planners() -> list[str]:
+    """Names of the registered planners."""
+    import engine.build
+
+    return list(engine.build.PLANNERS)
+
+
+def overrides_from(text: str | None) -> dict[str, object]:
+    """`key = value` lines as overrides; values are TOML, bare words are texts. Raises BadInput naming the line."""
+    import tomllib
+
+    from engine.errors import BadInput
+
+    found: dict[str, object] = {}
+    for number, line in enumerate((text or "").splitlines(), start=1):
+        line = line.split("#", 1)[0].strip()
+        if not line:
+            continue
+        key, equals, value = (part.strip() for part in line.partition("="))
+        if not equals or not key or not value:
+            raise BadInput(f"line {number} of the parameters: `key = value` was expected; got {line!r}")
+        try:
+            found[key] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            found[key] = value.strip("\"'")
+    return found

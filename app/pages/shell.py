@@ -1,0 +1,167 @@
+"""The frame around every page: top bar, routing, notifications, help, light and dark."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+from urllib.parse import parse_qs
+
+import dash
+import dash_mantine_components as dmc
+from dash import ClientsideFunction, Input, Output, State, dcc, html
+
+from app.components.basics import empty, icon
+from app.ids import Shell
+from app.pages import operate, replay, stage
+from app.runs import RunManager
+from app.settings import Settings
+from engine.errors import WattlaneError
+
+log = logging.getLogger(__name__)
+
+PAGES: tuple[tuple[str, str], ...] = (("/operate", "Operate"), ("/runs", "Replay"))
+
+KEYS: tuple[tuple[str, str], ...] = (
+    ("Space", "pause or continue"),
+    ("← →", "one tick back, on"),
+    ("Shift ← →", "ten ticks"),
+    ("Ctrl ← →", "previous, next event"),
+    ("Home End", "to the start; to live or the end"),
+    ("↑ ↓", "faster, slower"),
+    ("F", "follow the selected vehicle"),
+    ("P", "routes"),
+    ("I", "numbers"),
+    ("G", "grid"),
+    ("H", "next heat map"),
+    ("R", "fit the floor"),
+    ("+ −", "zoom"),
+    ("/", "find"),
+    ("Esc", "close, cancel, select nothing"),
+    ("?", "this help"),
+)
+
+
+def layout() -> dmc.MantineProvider:
+    """What stays while pages change."""
+    brand = [html.Img(src="/assets/icons/wattlane.svg", alt=""), "Wattlane"]
+    top = html.Header(
+        [
+            dcc.Link(brand, href="/operate", className="wl-brand"),
+            html.Nav(id=Shell.NAV, className="wl-nav", children=nav(""), **{"aria-label": "Pages"}),
+            html.Div(id=Shell.TITLE, className="wl-title"),
+            html.Div(id=Shell.STATUS, className="wl-status"),
+            html.Button(icon("theme"), id=Shell.THEME_SWITCH, type="button", className="wl-tool",
+                        title="Light or dark", **{"aria-label": "Light or dark"}),
+            html.Button(icon("help"), id=Shell.HELP_BUTTON, type="button", className="wl-tool",
+                        title="Keyboard shortcuts (?)", **{"aria-label": "Keyboard shortcuts"}),
+        ],
+        className="wl-top",
+    )  # fmt: skip
+    keys = html.Div([html.Div([html.Kbd(key), word]) for key, word in KEYS], className="wl-keys")
+    mouse = html.P(
+        "On the map: drag to move, wheel or pinch to zoom, click to select, double-click to centre, "
+        "right-click or long press for what can be done. Pausing a live simulation pauses it for everyone; "
+        "once you look back, play and pause move only your own view.",
+        className="wl-hint",
+    )
+    return dmc.MantineProvider(
+        html.Div(
+            [
+                html.A("Skip to the page", href=f"#{Shell.PAGE}", className="wl-skip"),
+                dcc.Location(id=Shell.URL, refresh="callback-nav"),
+                dcc.Store(id=Shell.THEME, storage_type="local"),
+                dcc.Store(id=Shell.RUNS_CHANGED),
+                dcc.Store(id=Shell.REBIND),
+                dmc.NotificationContainer(id=Shell.NOTIFY, position="bottom-right", containerWidth=380),
+                top,
+                html.Main(id=Shell.PAGE, className="wl-page", children=html.Div("Loading…", className="wl-loading")),
+                dmc.Modal([keys, mouse], id=Shell.HELP, title="Keyboard shortcuts", size="lg", zIndex=350),
+            ],
+            id="wl-root",
+            className="wl-app",
+        ),
+        id=Shell.PROVIDER,
+        theme={"primaryColor": "blue", "fontFamily": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"},
+    )
+
+
+def nav(pathname: str) -> list[Any]:
+    """The links to the pages, the present one marked."""
+    here = "/runs" if pathname in ("/replay", "/runs") else "/operate"
+    return [dcc.Link(word, href=path, **({"className": "current"} if path == here else {})) for path, word in PAGES]
+
+
+def run_in(search: str | None) -> str | None:
+    """The run id of a page's query, or None."""
+    return (parse_qs((search or "").lstrip("?")).get("run") or [None])[0]
+
+
+def page(manager: RunManager, settings: Settings, pathname: str, search: str | None) -> Any:
+    """The page of an address; what goes wrong becomes a sentence on the page."""
+    run_id = run_in(search)
+    home = dcc.Link("See all runs", href="/runs", className="wl-button primary")
+    try:
+        if pathname in ("", "/", "/operate"):
+            return operate.layout(manager, settings, run_id)
+        if pathname == "/replay" and run_id:
+            return replay.layout(manager, run_id)
+        if pathname in ("/replay", "/runs"):
+            return replay.catalogue_page(manager)
+    except WattlaneError as error:
+        return html.Div(empty("This page can't be shown", str(error), home), className="wl-scroll")
+    sentence = f"There is no page {pathname[:60]}."
+    return html.Div(empty("Nothing here", sentence, home), className="wl-scroll")
+
+
+def title(manager: RunManager, pathname: str, search: str | None) -> Any:
+    """Scenario and run for the top bar."""
+    run_id = run_in(search)
+    if pathname in ("", "/", "/operate") and run_id is None:
+        live = manager.live()
+        run_id = live[-1] if live else None
+    if run_id is None or pathname == "/runs":
+        return None
+    try:
+        status = manager.status(run_id)
+    except WattlaneError:
+        return None
+    return [
+        html.B(status.get("name") or status.get("title") or status.get("scenario")),
+        f" · {status['planner']}, seed {status['seed']}",
+    ]
+
+
+def install(app: dash.Dash, manager: RunManager, settings: Settings) -> None:
+    """Gives the app its layout and all callbacks."""
+    app.layout = layout()
+
+    @app.callback(
+        Output(Shell.PAGE, "children"),
+        Output(Shell.NAV, "children"),
+        Output(Shell.TITLE, "children"),
+        Input(Shell.URL, "pathname"),
+        Input(Shell.URL, "search"),
+        Input(Shell.REBIND, "data"),
+    )
+    def route(pathname: str | None, search: str | None, _: Any) -> tuple[Any, Any, Any]:
+        path = (pathname or "/").rstrip("/") or "/"
+        return page(manager, settings, path, search), nav(path), title(manager, path, search)
+
+    app.clientside_callback(
+        ClientsideFunction("wattlane", "scheme"),
+        Output(Shell.PROVIDER, "forceColorScheme"),
+        Output(Shell.THEME, "data"),
+        Input(Shell.THEME_SWITCH, "n_clicks"),
+        State(Shell.THEME, "data"),
+    )
+    app.clientside_callback(
+        ClientsideFunction("wattlane", "help"),
+        Output(Shell.HELP, "opened"),
+        Input(Shell.HELP_BUTTON, "n_clicks"),
+        prevent_initial_call=True,
+    )
+    stage.register(app, manager)
+    operate.register(app, manager)
+    replay.register(app, manager)
+    # Dash's FastAPI backend lists the assets on the first request for `/`; a deep link would come before it.
+    app._setup_server()

@@ -1,0 +1,176 @@
+"""Replay: the catalogue, and a recorded run scrubbed, linked to, forked and downloaded."""
+
+from __future__ import annotations
+
+import re
+import uuid
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.stage import api, chip, clock_s, note, open_stage, tab
+from tests.synthetic import make_run
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture
+def recorded(dashboard: Any) -> str:
+    """A recorded run of half an hour, with a block, a breakdown and commands."""
+    run_id = f"20261122-101500-synthetic-{uuid.uuid4().hex[:4]}"
+    return make_run(dashboard.data / "runs", run_id=run_id)
+
+
+@pytest.fixture
+def replayed(dashboard: Any, page: Page, recorded: str) -> Page:
+    open_stage(page, f"{dashboard.url}/replay?run={recorded}")
+    return page
+
+
+def test_the_catalogue_renames_and_deletes(dashboard: Any, page: Page, recorded: str) -> None:
+    page.goto(f"{dashboard.url}/runs")
+    row = page.locator("tr", has_text=recorded)
+    expect(row).to_contain_text("00:30:00")
+    row.get_by_role("button", name="Rename…").click()
+    page.fill("#wl-prompt", "Ring <b>one</b>")
+    page.keyboard.press("Enter")
+    note(page, "Renamed")
+    expect(row.get_by_role("link", name="Ring <b>one</b>")).to_be_visible()
+    row.get_by_role("button", name="Delete…").click()
+    dialog = page.locator(".wl-dialog")
+    expect(dialog).to_contain_text("gone for good")
+    dialog.get_by_role("button", name="Cancel").click()
+    expect(row).to_have_count(1)
+    row.get_by_role("button", name="Delete…").click()
+    dialog.get_by_role("button", name="Delete", exact=True).click()
+    expect(row).to_have_count(0)
+
+
+def test_any_moment_is_reached_forwards_and_backwards(replayed: Page) -> None:
+    page = replayed
+    chip(page, "REPLAY")
+    assert clock_s(page) == 0
+    for typed, seconds in (("00:12:30", 750), ("90s", 90), ("600", 600), ("20:00", 1200)):
+        page.fill("#time", typed)
+        page.keyboard.press("Enter")
+        expect(page.locator("#time")).not_to_be_focused()
+        page.wait_for_timeout(300)
+        assert clock_s(page) == seconds
+    page.fill("#time", "soon")
+    page.keyboard.press("Enter")
+    note(page, "Not a time")
+    page.keyboard.press("Escape")
+    page.locator(".wl-map-canvas").focus()
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("Shift+ArrowLeft")
+    page.wait_for_timeout(300)
+    assert clock_s(page) == 1189
+    page.keyboard.press("End")
+    page.wait_for_timeout(300)
+    assert clock_s(page) == 1800
+    page.keyboard.press("Home")
+    page.wait_for_timeout(300)
+    assert clock_s(page) == 0
+
+
+def test_it_plays_on_its_own_clock(replayed: Page) -> None:
+    page = replayed
+    page.locator("#speed").select_option("16")
+    page.get_by_label("Play my view (Space)").click()
+    expect(page.locator(".wl-clock")).to_have_text(re.compile(r"00:00:[2-5]\d"), timeout=10_000)
+    moved = page.evaluate("Array.from(wattlane.stage.map.nowX)")
+    page.wait_for_timeout(1000)
+    assert page.evaluate("Array.from(wattlane.stage.map.nowX)") != moved
+    page.get_by_label("Pause my view (Space)").click()
+    still = clock_s(page)
+    page.wait_for_timeout(600)
+    assert clock_s(page) == still
+
+
+def test_the_map_shows_what_the_log_says(dashboard: Any, replayed: Page, recorded: str) -> None:
+    page = replayed
+    page.fill("#time", "777")
+    page.keyboard.press("Enter")
+    page.wait_for_timeout(1200)
+    fleet = api(dashboard.url, f"/api/runs/{recorded}/view?t=777&parts=fleet")["fleet"]
+    for row in fleet:
+        v = row["vehicle"]
+        x, y = page.evaluate(f"[wattlane.stage.map.nowX[{v}], wattlane.stage.map.nowY[{v}]]")
+        assert (x, y) == (pytest.approx(row["x"], abs=0.01), pytest.approx(row["y"], abs=0.01))
+
+
+def test_a_copied_link_opens_the_same_view(dashboard: Any, replayed: Page) -> None:
+    page = replayed
+    page.fill("#time", "500")
+    page.keyboard.press("Enter")
+    tab(page, "Fleet")
+    page.locator("#fleet-grid .ag-center-cols-container [row-id='2'] [col-id='state']").click()
+    page.locator(".wl-map-canvas").focus()
+    page.keyboard.press("g")
+    page.keyboard.press("h")
+    page.wait_for_timeout(500)
+    link = page.url
+    assert {"t=500", "sel=v2", "tab=fleet"} <= set(link.split("?")[1].split("&"))
+    page.goto("about:blank")
+    open_stage(page, link)
+    expect(page.locator(".wl-right h2")).to_have_text("Vehicle 2")
+    expect(page.get_by_role("tab", name="Fleet", exact=True)).to_have_attribute("aria-selected", "true")
+    layers = page.evaluate("wattlane.stage.map.layers")
+    assert layers["grid"] is True
+    assert layers["heat"] == "occupancy"
+    assert clock_s(page) == 500
+    assert page.url == link
+
+
+def test_an_event_leads_to_its_time_and_place(replayed: Page) -> None:
+    page = replayed
+    page.keyboard.press("End")
+    tab(page, "Events")
+    row = page.locator("#events-grid .ag-row").first
+    expect(row).to_be_visible(timeout=15_000)
+    when = row.locator("[col-id='time_s']").inner_text()
+    row.locator("[col-id='text'] button").click()
+    expect(page.locator(".wl-clock")).to_have_text(when)
+    page.keyboard.press("Home")
+    page.locator(".wl-map-canvas").focus()
+    page.keyboard.press("Control+ArrowRight")
+    page.wait_for_timeout(300)
+    assert clock_s(page) > 0
+
+
+def test_commands_of_a_recorded_run_are_refused(replayed: Page) -> None:
+    page = replayed
+    tab(page, "Fleet")
+    page.locator("#fleet-grid .ag-center-cols-container [row-id='1'] [col-id='state']").click()
+    expect(page.locator(".wl-right h2")).to_have_text("Vehicle 1")
+    assert page.locator(".wl-right").get_by_role("button").all_inner_texts()[-1] == "Follow"
+    page.evaluate("wattlane.command({do: 'pause', vehicle: 1})")
+    note(page, "Not a live run")
+
+
+def test_downloads(replayed: Page, recorded: str) -> None:
+    page = replayed
+    for word, ending in (("CSV", "csv.zip"), ("Parquet", "parquet.zip")):
+        with page.expect_download() as download:
+            page.get_by_role("link", name=word).click()
+        assert download.value.suggested_filename == f"{recorded}-{ending}"
+
+
+def test_a_fork_is_a_live_run_with_a_parent(dashboard: Any, page: Page) -> None:
+    live = api(dashboard.url, "/api/runs", {"scenario": "soochow2022-continuous", "seed": 3, "speed": 64})["run_id"]
+    open_stage(page, f"{dashboard.url}/operate?run={live}")
+    expect(page.locator(".wl-clock")).not_to_have_text(re.compile("00:00"), timeout=120_000)
+    api(dashboard.url, f"/api/runs/{live}/control", {"op": "stop"})
+    open_stage(page, f"{dashboard.url}/replay?run={live}&t=40")
+    page.fill("#fork-seed", "99")
+    page.wait_for_timeout(1500)
+    page.get_by_role("button", name="Fork from here").click()
+    page.wait_for_url(re.compile(r"/operate\?run="), timeout=30_000)
+    expect(page.locator(".wl-left")).to_contain_text(f"{live} at tick 40")
+    fork = re.search(r"run=([^&]+)", page.url)
+    assert fork
+    page.wait_for_selector("#map[data-frames]", timeout=60_000)
+    chip(page, "LIVE", 60_000)
+    assert clock_s(page) >= 40
+    api(dashboard.url, f"/api/runs/{fork[1]}/control", {"op": "stop"})
