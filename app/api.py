@@ -309,12 +309,13 @@ def add_file_routes(server: FastAPI, manager: RunManager, viewer_cache: Path) ->
 
 
 def recording(manager: RunManager, run_id: str) -> Path:
-    """The run's `.rrd`, made from its log when it has none."""
+    """The run's `.rrd`, made from its log when it has none or its writer was killed."""
     from app.runner import rebuild_recording, scenario_of, world_of
+    from engine.replay.sink import is_finished
 
     folder = manager.folder(run_id)
     file = folder / "run.rrd"
-    if not file.is_file():
+    if not file.is_file() or not (manager.worker_alive(run_id) or is_finished(file)):
         scenario = scenario_of(folder)
         rebuild_recording(folder, scenario, world_of(scenario))
     return file

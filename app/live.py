@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import FormatError
+from engine.world.poses import Poses
 
 MAGIC = b"WL"
 VERSION = 1
@@ -26,18 +27,6 @@ PAUSED, DONE, REPLAY = 1, 2, 4
 LOADED, LOW = 1, 2
 SOC_STEPS = 250
 SOC_UNKNOWN = 255
-
-
-class Poses(Protocol):
-    """Arrays per vehicle: metres, degrees counter-clockwise from east, charge 0…1 (NaN unknown), state, flags."""
-
-    x_m: NDArray[np.float32]
-    y_m: NDArray[np.float32]
-    heading_deg: NDArray[np.float32]
-    soc: NDArray[np.float32]
-    state: NDArray[np.uint8]
-    loaded: NDArray[np.uint8]
-    low: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

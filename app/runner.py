@@ -44,8 +44,6 @@ LOG_BYTES = 2 * 2**30
 RECORDING = "run.rrd"
 PER_PLACE_OR_TIME = frozenset({"occupancy_by_place", "occupancy_over_time"})
 """Metrics too long for a summary; the log has them."""
-FORKABLE = ("planner", "seed", "orders", "dispatch", "charging", "faults")
-"""Sections of a scenario that may change in the middle of a run."""
 _PACKAGES = ("wattlane", "numpy", "numba", "scipy", "pyarrow", "pydantic", "rerun-sdk")
 
 
@@ -243,6 +241,8 @@ def prepare_fork(
     name: str = "",
 ) -> Path:
     """A run folder for a fork: its scenario is the parent's with the change, its passport names parent and tick."""
+    from engine.build import FORKABLE
+
     change: dict[str, object] = dict(overrides or {})
     if planner is not None:
         change["planner.name"] = planner

@@ -211,6 +211,10 @@ def replay(sim: Any, commands: Sequence[tuple[int, int, Mapping[str, Any]]], unt
         sim.advance(until - sim.tick)
 
 
+FORKABLE = ("planner", "seed", "orders", "dispatch", "charging", "faults")
+"""Sections of a scenario that may change in the middle of a run; what is on the floor depends on all others."""
+
+
 def swap(
     sim: Any, *, planner: str | None = None, seed: int | None = None, overrides: Mapping[str, Any] | None = None
 ) -> Scenario:
@@ -226,9 +230,8 @@ def swap(
         changes["seed"] = seed
     old: Scenario = sim.scenario
     new = parse(old.to_toml(), "the fork", changes)
-    fixed = ("time", "floor", "motion", "service", "fleet", "energy", "battery", "charger", "log", "name")
-    for section in fixed:
-        if getattr(new, section) != getattr(old, section):
+    for section in type(old).model_fields:
+        if section not in FORKABLE and getattr(new, section) != getattr(old, section):
             raise ScenarioError(f"a fork can't change {section!r}: what is on the floor already depends on it")
     parts = parts_of(new)
     parts.source.start_at(sim.tick)

@@ -7,6 +7,11 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from app.settings import use_kernel_cache
+
+# Before anything imports numba: the processes that the tests start then find the same compiled kernels.
+use_kernel_cache()
+
 ROOT = Path(__file__).resolve().parent.parent
 
 hypothesis.settings.register_profile("default", deadline=None)

@@ -251,6 +251,3 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         Input(Replay.RERUN_BUTTON, "n_clicks"),
         prevent_initial_call=True,
     )
-    app.clientside_callback(
-        ClientsideFunction("wattlane", "rerunClosed"), Input(Replay.RERUN, "opened"), prevent_initial_call=True
-    )

@@ -16,6 +16,18 @@
     return element;
   };
 
+  /** The element with this id, once it is there; null when it does not come. */
+  wl.found = (id) => new Promise((resolve) => {
+    const begin = performance.now();
+    const look = () => {
+      const node = document.getElementById(id);
+      if (node) resolve(node);
+      else if (performance.now() - begin > 8000) resolve(null);
+      else requestAnimationFrame(look);
+    };
+    look();
+  });
+
   const two = (number) => String(number).padStart(2, "0");
 
   /** Seconds as HH:MM:SS; hours may exceed 24. */

@@ -86,18 +86,15 @@
         names.forEach((name, i) => { if (percent[i] !== "" && percent[i] !== null && percent[i] !== undefined) command[name] = Number(percent[i]) / 100; });
         wl.command(command);
       },
-      /** The embedded Rerun viewer is made only when it is asked for: it is large. */
+      /** The embedded Rerun viewer is made only when it is asked for, inside the window that opens: it is large. */
       rerun(clicks) {
-        const host = document.getElementById("rerun-host");
-        if (!clicks || !host || !wl.stage) return none();
+        if (!clicks || !wl.stage) return none();
         const url = new URL(`/recordings/${encodeURIComponent(wl.stage.config.run)}.rrd`, location.href).href;
         const query = new URLSearchParams({ url, hide_welcome_screen: "true", theme: wl.scheme() });
-        host.replaceChildren(wl.el("iframe", { title: "Rerun viewer", src: `/rerun/index.html?${query}`, allow: "fullscreen" }));
+        wl.found("rerun-host").then((host) => {
+          if (host) host.replaceChildren(wl.el("iframe", { title: "Rerun viewer", src: `/rerun/index.html?${query}`, allow: "fullscreen" }));
+        });
         return true;
-      },
-      rerunClosed(opened) {
-        const host = document.getElementById("rerun-host");
-        if (!opened && host) host.replaceChildren();
       },
     },
   });

@@ -35,7 +35,7 @@
     }
 
     async start() {
-      const host = await found("map");
+      const host = await wl.found("map");
       if (!host || this.gone) return;
       this.host = host;
       host.replaceChildren();
@@ -671,17 +671,6 @@
   });
 
   // ---- binding
-
-  const found = (id) => new Promise((resolve) => {
-    const begin = performance.now();
-    const look = () => {
-      const node = document.getElementById(id);
-      if (node) resolve(node);
-      else if (performance.now() - begin > 8000) resolve(null);
-      else requestAnimationFrame(look);
-    };
-    look();
-  });
 
   /** Puts a run on the stage, or clears it. */
   wl.bind = (config) => {

@@ -45,7 +45,7 @@ class Nearest:
         a, b = view.orders.from_place[order], view.orders.to_place[order]
         if view.blocked[a] or view.blocked[b]:
             return Refusal(order, "its station is blocked")
-        near = sorted((view.search.ticks_to(a, int(view.at[v])), v) for v in left)
+        near = sorted(zip(view.search.ticks_from(a, view.at[left]).tolist(), left, strict=True))
         reason = "no vehicle can reach its station"
         for ticks, v in near:
             if ticks >= NO_WAY:

@@ -52,6 +52,10 @@ class Search(Protocol):
         """Ticks from a state to a place on an empty floor; at least NO_WAY when there is no way."""
         ...
 
+    def ticks_from(self, goal: int, states: I32) -> NDArray[np.int64]:
+        """The same for many states at once."""
+        ...
+
     def energy_to(self, goal: int, state: int) -> int:
         """mJ of that way for the least class, empty and rolling, standby included."""
         ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.energy import CostTable
 from engine.planners.base import Budget, Plan, View, no_plan
@@ -42,6 +43,12 @@ class FloorSearch:
     def ticks_to(self, goal: int, state: int) -> int:
         """Ticks from a state to a place on an empty floor; FAR >> TICK when there is no way."""
         return self.time.cost(goal, state) >> TICK
+
+    def ticks_from(self, goal: int, states: NDArray[np.int32]) -> NDArray[np.int64]:
+        """The same for many states at once."""
+        row = self.time.slot(goal)
+        ticks: NDArray[np.int64] = self.time.pool[row, states >> self.time.shift] >> TICK
+        return ticks
 
     def energy_to(self, goal: int, state: int) -> int:
         """mJ (least class and load, rolling) of the quickest way from a state to a place on an empty floor."""

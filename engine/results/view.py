@@ -35,6 +35,7 @@ from engine.types import (
     VehicleState,
 )
 from engine.world.floor import World
+from engine.world.poses import Poses
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -80,21 +81,6 @@ _STATE_OF_GROUP = np.array(
 _DRAWN = [c for c in Component if c not in (Component.CHARGED, Component.CHARGER_LOSS)]
 # chargers.state
 BOOKED, CONNECTED, RELEASED, OUT, BACK, QUEUED = range(6)
-
-
-@dataclass(frozen=True, slots=True)
-class Poses:
-    """The fleet at one time; arrays per vehicle. x and y in metres, heading in degrees ccw from east, soc in [0, 1]."""
-
-    x_m: F32
-    y_m: F32
-    heading_deg: F32
-    soc: F32  # of the latest battery sample
-    state: NDArray[np.uint8]  # VehicleState
-    loaded: NDArray[np.uint8]
-    low: NDArray[np.uint8]  # below the level at which a free vehicle goes charging
-    order: NDArray[np.int32]
-    place: NDArray[np.int32]  # the place it is in, or that it leaves
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,7 @@ from engine.sim.state import (
 from engine.types import FOREVER, NONE, PRIMITIVE_0, Activity, Occupancy
 from engine.units import ticks_from_s
 from engine.world.floor import World
+from engine.world.poses import Poses
 
 PATIENCE_S = 30.0
 LEVEL_NAMES = ("critical", "good", "sufficient", "full", "reserve")
@@ -71,20 +72,6 @@ class Parts:
     faults: Faults
     start: tuple[int, ...]
     initial_soc: NDArray[np.float64]
-
-
-class Poses(NamedTuple):
-    """Where everybody is at a time: (V,) arrays, metres and degrees; soc of the last battery sample, 0 to 1."""
-
-    x_m: NDArray[np.float32]
-    y_m: NDArray[np.float32]
-    heading_deg: NDArray[np.float32]
-    soc: NDArray[np.float32]
-    state: NDArray[np.uint8]
-    loaded: NDArray[np.uint8]
-    low: NDArray[np.uint8]
-    order: NDArray[np.int32]
-    place: NDArray[np.int32]
 
 
 class Simulation:

@@ -8,10 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.settings import Settings, use_kernel_cache
-
-# Before anything imports numba: the processes that the tests start then find the same compiled kernels.
-use_kernel_cache()
+from app.settings import Settings
 
 SHORT: dict[str, object] = {"time.until_s": 240.0}
 

@@ -64,7 +64,11 @@ def check_lists(c: Claims, places: int, plain: list[naive.Intervals]) -> None:
 
 @pytest.mark.nojit_slice
 @settings(max_examples=60)
-@given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, PLACES - 1), st.integers(0, 20), st.integers(1, 5)), max_size=30))
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 6), st.integers(0, PLACES - 1), st.integers(0, 20), st.integers(1, 5)), max_size=30
+    )
+)
 def test_lists_stay_sorted_and_disjoint(ops: list[tuple[int, int, int, int]]) -> None:
     c = new_claims(PLACES, 6)
     plain = [naive.Intervals() for _ in range(PLACES)]
@@ -244,7 +248,9 @@ def test_committed_plans_never_share_a_place(data: st.DataObject) -> None:
         rows += naive.reservations_of(f.ground.floor, v, place, 0, drives, FOREVER)
     assert not naive.clashes(f.ground.floor, rows)
     slots = [s for p in range(f.ground.graph.n_places) for s in listed(f.claims, p)]
-    booked = sorted((int(f.claims.place[s]), int(f.claims.start[s]), int(f.claims.end[s]), int(f.claims.owner[s])) for s in slots)
+    booked = sorted(
+        (int(f.claims.place[s]), int(f.claims.start[s]), int(f.claims.end[s]), int(f.claims.owner[s])) for s in slots
+    )
     assert booked == sorted(rows)
 
 

@@ -63,9 +63,7 @@ def check_times(ground: Ground, ask: Ask, edges: list[list[int]]) -> None:
         items += [("go", floor.edges[e].target >> 1) for e in route]
         items.append((naive.STAY, leg.stay_ticks))
     best = naive.route_in_time(floor, ground.reservations, items, ask.state, ask.tick)
-    plan = Timed(Given(tuple(tuple(e) for e in edges))).timed(
-        ground.view(ask), [np.array(e, np.int32) for e in edges]
-    )
+    plan = Timed(Given(tuple(tuple(e) for e in edges))).timed(ground.view(ask), [np.array(e, np.int32) for e in edges])
     assert plan.found == (best is not None), f"the route takes until {best}"
     if best is None:
         return
@@ -84,9 +82,7 @@ def one_route(data: st.DataObject, most: int) -> None:
     if ask is None:
         return
     edges, goals = data.draw(routes(ground, ask.state, len(ask.legs)))
-    legs = tuple(
-        Leg(goal, leg.stay_ticks, leg.what, leg.loaded) for goal, leg in zip(goals, ask.legs, strict=True)
-    )
+    legs = tuple(Leg(goal, leg.stay_ticks, leg.what, leg.loaded) for goal, leg in zip(goals, ask.legs, strict=True))
     check_times(ground, Ask(ask.state, ask.tick, ask.cls, legs), edges)
 
 
