@@ -12,6 +12,9 @@ from engine.orders.book import OrderBook
 from engine.planners.base import Search
 from engine.types import NONE
 
+NOBODY_FREE = "no vehicle is free"
+"""The one refusal that is no news."""
+
 
 @dataclass(slots=True)
 class FloorView:
@@ -25,6 +28,7 @@ class FloorView:
     tick_s: float
     search: Search
     orders: OrderBook
+    waiting: list[int]  # open orders that may be given now, oldest first
     at: NDArray[np.int32]  # (V,) motion state from which a new plan would start
     charge_mj: NDArray[np.int64]  # (V,) energy left at the present voltage
     capacity_mj: NDArray[np.int64]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from engine.dispatch.base import Assignment, ChargingPolicy, FloorView, Refusal
+from engine.dispatch.base import NOBODY_FREE, Assignment, ChargingPolicy, FloorView, Refusal
 from engine.planners.base import NO_WAY
 
 SAFETY = 1.25
@@ -28,7 +28,7 @@ class Nearest:
         out: list[Assignment] = []
         refused: list[Refusal] = []
         taken: set[int] = set()
-        for order in view.orders.open[: self.look]:
+        for order in view.waiting[: self.look]:
             found = self.choose(view, order, left, taken)
             if isinstance(found, Refusal):
                 refused.append(found)
@@ -41,7 +41,7 @@ class Nearest:
     def choose(self, view: FloorView, order: int, left: list[int], taken: set[int]) -> Assignment | Refusal:
         """The nearest of the vehicles left that can carry an order, or why none can."""
         if not left:
-            return Refusal(order, "no vehicle is free")
+            return Refusal(order, NOBODY_FREE)
         a, b = view.orders.from_place[order], view.orders.to_place[order]
         if view.blocked[a] or view.blocked[b]:
             return Refusal(order, "its station is blocked")

@@ -59,6 +59,8 @@ class FloorSearch:
         r = view.request
         if not r.legs:
             return no_plan(PlanStatus.INCONSISTENT, note="a request without goals")
+        if any(taken_for_good(view.claims, leg.place) for leg in r.legs):
+            return no_plan(PlanStatus.NO_PATH)
         goals = np.array([leg.place for leg in r.legs], np.int32)
         stays = np.array([leg.stay_ticks for leg in r.legs], np.int32)
         tables = self.time if objective == "time" else self.energy
@@ -106,6 +108,14 @@ class FloorSearch:
     def _long_trail(self, node: int) -> int:
         self._steps = [np.zeros(len(self._work.state), np.int32) for _ in range(3)]
         return int(sipp.trail(self._work, node, *self._steps))
+
+
+def taken_for_good(claims: Claims, place: int) -> bool:
+    """True when somebody stays in a place with no end known."""
+    slot = place
+    while claims.next[slot] >= 0:
+        slot = int(claims.next[slot])
+    return bool(claims.end[slot] >= FOREVER)
 
 
 def settled(claims: Claims) -> int:

@@ -58,6 +58,7 @@ def save(sim: Simulation, folder: Path) -> None:
         "scenario": sim.scenario.to_toml(),
         "own": {name: getattr(sim, name) for name in _PLAIN},
         "reasons": {str(k): v for k, v in sim.reasons.items()},
+        "not_before": {str(k): v for k, v in sim.not_before.items()},
         "book": sim.book.to_plain(),
         "source": sim.source.to_plain(),
         "faults": sim.faults.to_plain(),
@@ -111,6 +112,7 @@ def restore(sim: Simulation, folder: Path, plain: dict[str, Any]) -> None:
     for name, value in own.items():
         setattr(sim, name, value)
     sim.reasons = {int(k): v for k, v in plain["reasons"].items()}
+    sim.not_before = {int(k): v for k, v in plain["not_before"].items()}
     sim.set_book(OrderBook.from_plain(plain["book"]))
     sim.source.restore(plain["source"])
     sim.faults.restore(plain["faults"])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from engine.dispatch.base import NOBODY_FREE
 from engine.planners.base import Leg
 from engine.sim import planning, recovery
 from engine.sim.state import ARRIVED, CHARGED, EMPTY, ORDER_DONE, PICKED, STALLED
@@ -13,7 +14,13 @@ from engine.types import FOREVER, NONE, Activity, OrderState, Task
 from engine.units import ticks_from_s
 
 if TYPE_CHECKING:
+    from engine.dispatch.base import Assignment
     from engine.sim.simulation import Simulation
+
+ROUNDS = 4
+"""How many times orders are given out anew at one tick when some of them find no way."""
+STAND_BACK_S = 30.0
+"""Seconds for which an order that found no way lets others go first."""
 
 
 def decide(sim: Simulation, broken: bool) -> None:
@@ -48,6 +55,8 @@ def add_order(sim: Simulation, a: int, b: int, source: int) -> int:
     places = (sim.world.station(a).place, sim.world.station(b).place)
     order = sim.book.add(sim.tick, (a, b), places, source)
     order_row(sim, order)
+    ways = f"from {sim.world.station(a).name} to {sim.world.station(b).name}"
+    sim.say("new order", f"order {order} {ways}", 0, NONE, order, places[0])
     return order
 
 
@@ -74,6 +83,8 @@ def read_marks(sim: Simulation) -> None:
             if v not in sim.needs_plan:
                 arrived(sim, v)
         elif bit == CHARGED:
+            if sim.must_charge[v]:
+                sim.say("charged", f"vehicle {v} has enough charge to take orders again", 0, v)
             sim.must_charge[v] = 0
         elif bit == EMPTY:
             sim.say("stranded", f"vehicle {v} has run empty", 2, v, int(sim.fleet.order[v]))
@@ -88,6 +99,8 @@ def order_done(sim: Simulation, tick: int, v: int, order: int) -> None:
     book.done_at[order] = tick
     book.n_done += 1
     order_row(sim, order, tick)
+    target = sim.world.station(book.to_station[order]).name
+    sim.say("delivered", f"vehicle {v} has brought order {order} to {target}", 0, v, order, book.to_place[order])
     f.order[v] = NONE
     check_low(sim, v)
     at_charger = sim.home[v] != NONE and sim.view.is_charger[sim.home[v]]
@@ -107,8 +120,11 @@ def arrived(sim: Simulation, v: int) -> None:
         sim.say("arrived", f"vehicle {v} is where it was sent", 0, v, NONE, int(sim.graph.state_place[f.state[v]]))
     f.task[v] = int(Task.NONE)
     check_low(sim, v)
-    if sim.view.is_charger[sim.home[v]]:
-        planning.charger_row(sim, int(sim.home[v]), v, 1)
+    home = int(sim.home[v])
+    if sim.view.is_charger[home]:
+        planning.charger_row(sim, home, v, 1)
+        if sim.must_charge[v]:
+            sim.say("charging", f"vehicle {v} charges at {sim.world.place_name(home)}", 0, v, NONE, home)
 
 
 def refresh_view(sim: Simulation) -> None:
@@ -158,34 +174,54 @@ def home_is_good(sim: Simulation, v: int) -> bool:
 
 
 def dispatch(sim: Simulation) -> None:
-    if not sim.book.open:
-        return
-    free = free_vehicles(sim)
-    if not free:
-        return
-    assignments, refusals = sim.parts.dispatcher.assign(sim.view, free)
+    """Give open orders to free vehicles; an order that finds no way stands back for a while, the next one is tried."""
+    refused: dict[int, str] = {}
+    for _ in range(ROUNDS):
+        waiting = [o for o in sim.book.open if sim.not_before.get(o, 0) <= sim.tick]
+        free = free_vehicles(sim) if waiting else []
+        if not free:
+            break
+        sim.view.waiting = waiting
+        assignments, refusals = sim.parts.dispatcher.assign(sim.view, free)
+        refused |= {r.order: r.reason for r in refusals}
+        failed = [a for a in assignments if not give(sim, a)]
+        for a in failed:
+            refused[a.order] = f"vehicle {a.vehicle} found no way free of conflicts"
+            sim.not_before[a.order] = sim.tick + max(1, ticks_from_s(STAND_BACK_S, sim.tick_s))
+        if not failed:
+            break
+        refresh_view(sim)
+    for order, reason in refused.items():
+        refuse(sim, order, reason)
+
+
+def give(sim: Simulation, a: Assignment) -> bool:
+    """Plan an assignment and put it on the floor; False when its vehicle finds no way."""
+    book = sim.book
     pick, drop = planning.service_ticks(sim)
-    for a in assignments:
-        legs = (
-            Leg(sim.book.from_place[a.order], pick, Activity.PICK, False),
-            Leg(sim.book.to_place[a.order], drop, Activity.DROP, True),
-        )
-        if planning.send(sim, a.vehicle, legs, a.rests, Task.TO_PICK, a.order):
-            sim.book.assign(a.order, a.vehicle)
-            sim.reasons.pop(a.order, None)
-            sim.fleet.order[a.vehicle] = a.order
-            sim.fleet.task[a.vehicle] = int(Task.TO_PICK)
-            order_row(sim, a.order)
-        else:
-            refuse(sim, a.order, f"vehicle {a.vehicle} found no way free of conflicts")
-    for r in refusals:
-        refuse(sim, r.order, r.reason)
+    legs = (
+        Leg(book.from_place[a.order], pick, Activity.PICK, False),
+        Leg(book.to_place[a.order], drop, Activity.DROP, True),
+    )
+    if not planning.send(sim, a.vehicle, legs, a.rests, Task.TO_PICK, a.order):
+        return False
+    book.assign(a.order, a.vehicle)
+    sim.reasons.pop(a.order, None)
+    sim.not_before.pop(a.order, None)
+    sim.fleet.order[a.vehicle] = a.order
+    sim.fleet.task[a.vehicle] = int(Task.TO_PICK)
+    order_row(sim, a.order)
+    sim.say("assigned", f"vehicle {a.vehicle} takes order {a.order}", 0, a.vehicle, a.order)
+    return True
 
 
 def refuse(sim: Simulation, order: int, reason: str) -> None:
+    """Remember why an order waits, and say so once; that nobody is free is no news."""
+    if reason == NOBODY_FREE and order in sim.reasons:
+        return
     if sim.reasons.get(order) != reason:
         sim.reasons[order] = reason
-        if reason != "no vehicle is free":
+        if reason != NOBODY_FREE:
             sim.say("order waits", f"order {order}: {reason}", 0, NONE, order)
 
 

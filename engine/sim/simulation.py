@@ -110,6 +110,7 @@ class Simulation:
         self.try_at = np.zeros(n, np.int32)
         self.queue: list[int] = []
         self.reasons: dict[int, str] = {}
+        self.not_before: dict[int, int] = {}  # open orders for which no way was found: when to try again
         self.commands = 0
         self.done = False
         self.deadlocks = 0
@@ -139,7 +140,7 @@ class Simulation:
         is_rest[rests] = 1
         full = self.parts.battery.capacity_mc * int(self.parts.battery.voltage_mv[-1]) // 1000
         return FloorView(
-            tick=0, tick_s=self.tick_s, search=self.search, orders=self.book, at=np.zeros(self.n, np.int32),
+            tick=0, tick_s=self.tick_s, search=self.search, orders=self.book, waiting=[], at=np.zeros(self.n, np.int32),
             charge_mj=np.zeros(self.n, np.int64), capacity_mj=np.full(self.n, full, np.int64), home=self.home,
             holder=self.holder, is_charger=is_charger, is_rest=is_rest, rests=rests, xy=self.graph.xy_m,
             heaviest=1.0 + fleet.payload_kg / fleet.mass_kg, standby_mj=int(self.parts.costs.standby_mj[0]),
