@@ -4,7 +4,7 @@ SHELL := bash
 py := .venv/bin/python
 ARGS ?=
 
-.PHONY: help run bench setup test test-nojit test-slow lint format lock clean distclean
+.PHONY: help run bench setup test test-nojit test-slow lint format lock demos clean distclean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -44,6 +44,9 @@ format: ## let ruff repair and format
 
 lock: ## resolve the dependencies anew       (ARGS=--upgrade)
 	@bash scripts/lock.sh $(ARGS)
+
+demos: setup ## record the demo runs anew
+	$(py) scripts/demos.py
 
 clean: ## remove caches and what was built
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

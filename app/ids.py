@@ -87,6 +87,7 @@ class Replay(StrEnum):
     FORK_SEED = "fork-seed"
     FORK_MORE = "fork-more"
     FORK_BUTTON = "fork-button"
+    FORK_AT = "fork-at"
     FORK_ERROR = "fork-error"
     RERUN_BUTTON = "rerun-button"
     RERUN = "rerun-modal"

@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from app.figures.base import MS, empty_figure, playhead, timed_figure
-from app.theme import LIGHT, STATE_WORDS, STATES, known_scheme
+from app.theme import INK, LIGHT, STATE_WORDS, STATES, known_scheme
 
 BARS_UP_TO = 2500
 LANES_UP_TO = 60
@@ -52,7 +52,8 @@ def bands_figure(
     )
     figure.update_layout(showlegend=True, barmode="overlay", bargap=0.15)
     if selected is not None and selected in vehicles:
-        figure.add_hrect(y0=selected - 0.5, y1=selected + 0.5, line_width=1.5, fillcolor="rgba(0,0,0,0)")
+        frame = {"color": INK[known_scheme(scheme)]["select"], "width": 1.5}
+        figure.add_hrect(y0=selected - 0.5, y1=selected + 0.5, line=frame, fillcolor="rgba(0,0,0,0)")
     if now_s is not None:
         playhead(figure, now_s, scheme)
     return figure

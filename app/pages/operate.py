@@ -241,6 +241,12 @@ def started(manager: RunManager, values: Mapping[str, Any]) -> str:
     )
 
 
+def shown(value: Any) -> str:
+    """A parameter's value, shortened."""
+    text = "none" if value in (None, "") else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
 def register(app: dash.Dash, manager: RunManager) -> None:
     """The start form, the list of runs, and the command forms (which run in the browser)."""
 
@@ -269,7 +275,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
                 part
                 for key, row in known.items()
                 if "." in key
-                for part in (html.Dt(html.Code(key)), html.Dd(f"{row['description']} Now: {row['value']}"))
+                for part in (html.Dt(html.Code(key)), html.Dd(f"{row['description']} · {shown(row['value'])}"))
             ],
             style={"fontSize": "12px", "maxHeight": "220px", "overflow": "auto"},
         )

@@ -75,6 +75,7 @@ def layout(manager: RunManager, run_id: str) -> html.Div:
             title="Rerun",
             fullScreen=True,
             zIndex=300,
+            closeButtonProps={"aria-label": "Close"},
         ),
     ]
     return stage_page.layout(status, "replay", levels, left, end * float(status["tick_s"]))
@@ -107,6 +108,7 @@ def fork_form() -> html.Div:
                 className="whole",
             ),
             html.Div(id=Replay.FORK_ERROR, className="wl-error whole", role="alert"),
+            dcc.Store(id=Replay.FORK_AT),
             dmc.Button("Fork from here", id=Replay.FORK_BUTTON, size="xs", variant="light", className="whole"),
         ],
         className="wl-form",
@@ -217,24 +219,21 @@ def register(app: dash.Dash, manager: RunManager) -> None:
     @app.callback(
         Output(Replay.FORK_ERROR, "children"),
         Output(Shell.URL, "href", allow_duplicate=True),
-        Input(Replay.FORK_BUTTON, "n_clicks"),
+        Input(Replay.FORK_AT, "data"),
         State(Stage.CONFIG, "data"),
-        State(Stage.PULSE, "data"),
         State(Replay.FORK_PLANNER, "value"),
         State(Replay.FORK_SEED, "value"),
         State(Replay.FORK_MORE, "value"),
         prevent_initial_call=True,
         running=[(Output(Replay.FORK_BUTTON, "loading"), True, False)],
     )
-    def fork(clicks: int | None, config: Any, pulse: Any, planner: str, seed: Any, more: str | None) -> tuple[Any, Any]:
-        if not clicks or not config:
+    def fork(at: Any, config: Any, planner: str, seed: Any, more: str | None) -> tuple[Any, Any]:
+        if not at or not config:
             return no_update, no_update
-        time_s = (pulse or {}).get("t")
-        time_s = config["t_end"] if time_s is None else time_s
         try:
             run_id = manager.fork(
                 config["run"],
-                round(time_s / config["tick_s"]),
+                round(at["t"] / config["tick_s"]),
                 planner=None if planner == SAME else planner,
                 seed=int(seed) if seed not in (None, "") else None,
                 overrides=data.overrides_from(more),
@@ -245,6 +244,12 @@ def register(app: dash.Dash, manager: RunManager) -> None:
             return f"the disk refused: {error.strerror or error}", no_update
         return None, f"/operate?run={run_id}"
 
+    app.clientside_callback(
+        ClientsideFunction("wattlane", "forkAt"),
+        Output(Replay.FORK_AT, "data"),
+        Input(Replay.FORK_BUTTON, "n_clicks"),
+        prevent_initial_call=True,
+    )
     app.clientside_callback(
         ClientsideFunction("wattlane", "rerun"),
         Output(Replay.RERUN, "opened"),

@@ -75,13 +75,24 @@ def layout() -> dmc.MantineProvider:
                 dmc.NotificationContainer(id=Shell.NOTIFY, position="bottom-right", containerWidth=380),
                 top,
                 html.Main(id=Shell.PAGE, className="wl-page", children=html.Div("Loading…", className="wl-loading")),
-                dmc.Modal([keys, mouse], id=Shell.HELP, title="Keyboard shortcuts", size="lg", zIndex=350),
+                dmc.Modal(
+                    [keys, mouse],
+                    id=Shell.HELP,
+                    title="Keyboard shortcuts",
+                    size="lg",
+                    zIndex=350,
+                    closeButtonProps={"aria-label": "Close"},
+                ),
             ],
             id="wl-root",
             className="wl-app",
         ),
         id=Shell.PROVIDER,
-        theme={"primaryColor": "blue", "fontFamily": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"},
+        theme={
+            "primaryColor": "blue",
+            "primaryShade": {"light": 8, "dark": 8},
+            "fontFamily": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif",
+        },
     )
 
 

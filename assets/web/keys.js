@@ -86,6 +86,8 @@
         names.forEach((name, i) => { if (percent[i] !== "" && percent[i] !== null && percent[i] !== undefined) command[name] = Number(percent[i]) / 100; });
         wl.command(command);
       },
+      /** The moment shown when the button was pressed. */
+      forkAt(clicks) { return clicks && wl.stage ? { t: wl.stage.time, clicks } : none(); },
       /** The embedded Rerun viewer is made only when it is asked for, inside the window that opens: it is large. */
       rerun(clicks) {
         if (!clicks || !wl.stage) return none();

@@ -467,6 +467,7 @@
       if (!frame || v >= this.n || !route.places.length) return;
       const colour = chosen ? this.palette.select : this.palette.state[frame.state[v]] || this.palette.route;
       const first = this._nextPlace(route, this.nowX[v], this.nowY[v]);
+      if (first < 0) return;
       const points = [[this.nowX[v], this.nowY[v]]];
       let held = 0;
       for (let k = first; k < route.places.length; k++) {
@@ -497,7 +498,8 @@
       ctx.globalAlpha = 1;
     }
 
-    /** Index of the place of a route that a vehicle at (x, y) comes to next: routes are fetched less often than frames. */
+    /** Index of the place of a route that a vehicle at (x, y) comes to next; -1 when it is not on it: routes are
+     *  fetched less often than frames, and may be of an earlier plan. */
     _nextPlace(route, x, y) {
       const { places } = this.floor;
       let nearest = 0, least = Infinity;
@@ -506,6 +508,7 @@
         if (d < least - 1e-6) { least = d; nearest = k; }
         else if (least < 0.3 * this.floor.cell_m ** 2 && d > 9 * this.floor.cell_m ** 2) break;
       }
+      if (least > (1.5 * this.floor.cell_m) ** 2) return -1;
       if (nearest + 1 >= route.places.length) return nearest;
       const [ax, ay] = places[route.places[nearest]], [bx, by] = places[route.places[nearest + 1]];
       return (x - ax) * (bx - ax) + (y - ay) * (by - ay) >= -1e-3 ? nearest + 1 : nearest;

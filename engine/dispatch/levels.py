@@ -23,8 +23,8 @@ class Levels:
         plenty = chargers >= len(view.home)
         if low or plenty:
             found = view.nearest_rest(vehicle, place, chargers_only=True)
-            if found:
-                return found
+            if found or (low and chargers):
+                return found  # nobody starts what would leave it queueing with the little that is left
             return view.nearest_rest(vehicle, place, chargers_only=False)
         parking = [
             r for r in view.nearest_rest(vehicle, place, chargers_only=False, count=12) if not view.is_charger[r]

@@ -52,7 +52,7 @@ class Nearest:
                 break
             spare = int(view.charge_mj[v] - view.levels["reserve"] * view.capacity_mj[v]) - self.need(view, v, a, b)
             if spare < 0:
-                reason = f"vehicle {v} has too little charge for it ({100 * view.soc(v):.0f} %)"
+                reason = "no free vehicle has enough charge for it"
                 continue
             rests = [r for r in self.charging.rests_after(view, v, b, spare) if r not in taken]
             if rests:

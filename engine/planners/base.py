@@ -32,6 +32,7 @@ class Rows(Protocol):
 
     costs: NDArray[np.int64]
     pool: NDArray[np.int64]
+    shift: int  # 1: over poses, state s in column s >> 1; 0: over states
 
     def slot(self, goal: int, keep: frozenset[int] | set[int] = frozenset()) -> int:
         """Row of a goal, computed when absent."""
@@ -45,7 +46,7 @@ class Search(Protocol):
 
     @property
     def time(self) -> Rows:
-        """Tables by time over poses."""
+        """Tables by time."""
         ...
 
     def ticks_to(self, goal: int, state: int) -> int:

@@ -22,13 +22,13 @@ I32 = NDArray[np.int32]
 
 
 @njit(cache=True, nogil=True)
-def descend(edge_ptr, edge_to, edge_kind, state_place, cost, table, state, goal, out):  # type: ignore[no-untyped-def]
-    """Edges from a state to a goal place down a table over poses; their number, or -1 when there is no way."""
+def descend(edge_ptr, edge_to, edge_kind, state_place, cost, table, shift, state, goal, out):  # type: ignore[no-untyped-def]
+    """Edges from a state to a goal place down a table; their number, or -1 when there is no way."""
     n = 0
     while state_place[state] != goal:
         best, by = FAR, -1
         for e in range(edge_ptr[state], edge_ptr[state + 1]):
-            through = table[edge_to[e] >> 1]
+            through = table[edge_to[e] >> shift]
             if through < FAR and through + cost[edge_kind[e]] < best:
                 best, by = through + cost[edge_kind[e]], e
         if by < 0 or n == len(out):
@@ -59,8 +59,9 @@ class Quickest:
         for leg in view.request.legs:
             row = tables.slot(leg.place)
             n = descend(
-                g.edge_ptr, g.edge_to, g.edge_kind, g.state_place, tables.costs, tables.pool[row], state, leg.place, out
-            )
+                g.edge_ptr, g.edge_to, g.edge_kind, g.state_place, tables.costs, tables.pool[row], tables.shift, state,
+                leg.place, out,
+            )  # fmt: skip
             if n < 0:
                 return [], memory
             legs.append(out[:n].copy())

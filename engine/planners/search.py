@@ -9,7 +9,7 @@ from engine.energy import CostTable
 from engine.planners.base import Budget, Plan, View, no_plan
 from engine.planners.kernels import sipp
 from engine.planners.kernels.tables import TICK, Tables, packed
-from engine.traffic import STAY, Claims, ground_of
+from engine.traffic import FAR, STAY, Claims, ground_of
 from engine.types import FOREVER, Occupancy, PlanStatus
 from engine.world.motion_graph import MotionGraph
 
@@ -27,7 +27,9 @@ class FloorSearch:
         self.graph, self.costs = graph, costs
         # lower bounds over vehicle classes and loads, so that one table serves all
         least = costs.total_mj.min(axis=(0, 1)) + graph.kind_ticks.astype(np.int64) * costs.standby_mj.min()
-        self.time = Tables(graph, packed(graph.kind_ticks, least), poses=True)
+        # a pivot ends at rest and the next motion starts: where there are pivots, stopped and rolling are two things
+        pivots = any(p.pivot for p in graph.primitives)
+        self.time = Tables(graph, packed(graph.kind_ticks, least), poses=not pivots)
         self.energy = Tables(graph, least, poses=False)
         self._work = sipp.new_work(1 << 14, 1)
         self._out = np.zeros(2, np.int64)
@@ -59,7 +61,8 @@ class FloorSearch:
         r = view.request
         if not r.legs:
             return no_plan(PlanStatus.INCONSISTENT, note="a request without goals")
-        if any(taken_for_good(view.claims, leg.place) for leg in r.legs):
+        by = [r.tick] * (len(r.legs) - 1) + [FOREVER]
+        if any(taken_for_good(view.claims, leg.place, tick) for leg, tick in zip(r.legs, by, strict=True)):
             return no_plan(PlanStatus.NO_PATH)
         goals = np.array([leg.place for leg in r.legs], np.int32)
         stays = np.array([leg.stay_ticks for leg in r.legs], np.int32)
@@ -110,17 +113,17 @@ class FloorSearch:
         return int(sipp.trail(self._work, node, *self._steps))
 
 
-def taken_for_good(claims: Claims, place: int) -> bool:
-    """True when somebody stays in a place with no end known."""
+def taken_for_good(claims: Claims, place: int, tick: int) -> bool:
+    """True when somebody stays in a place with no end known, at a tick or before it."""
     slot = place
     while claims.next[slot] >= 0:
         slot = int(claims.next[slot])
-    return bool(claims.end[slot] >= FOREVER)
+    return bool(claims.end[slot] >= FOREVER and claims.start[slot] <= tick)
 
 
 def settled(claims: Claims) -> int:
     """The tick after which no claim begins or ends."""
     taken = claims.owner >= 0
     ends = np.concatenate([claims.start[taken], claims.end[taken]])
-    ends = ends[ends < FOREVER]
+    ends = ends[ends < FAR]
     return int(ends.max()) if len(ends) else 0

@@ -44,7 +44,7 @@ def save(sim: Simulation, folder: Path) -> None:
     for group in ("fleet", "steps", "claims"):
         for name, array in getattr(sim, group)._asdict().items():
             arrays[f"{group}.{name}"] = array
-    for name in ("full", "top_up", "sufficient"):
+    for name in ("full", "top_up", "sufficient", "good"):
         arrays[f"levels.{name}"] = getattr(sim.levels, name)
     for name in _OWN:
         arrays[f"own.{name}"] = getattr(sim, name)
@@ -101,7 +101,7 @@ def restore(sim: Simulation, folder: Path, plain: dict[str, Any]) -> None:
         array[...] = arrays[f"fleet.{name}"]
     sim.steps = Steps(*(arrays[f"steps.{name}"] for name in Steps._fields))
     sim.claims = Claims(*(arrays[f"claims.{name}"] for name in Claims._fields))
-    for name in ("full", "top_up", "sufficient"):
+    for name in ("full", "top_up", "sufficient", "good"):
         getattr(sim.levels, name)[...] = arrays[f"levels.{name}"]
     for name in _OWN:
         getattr(sim, name)[...] = arrays[f"own.{name}"]

@@ -32,6 +32,7 @@ def decide(sim: Simulation, broken: bool) -> None:
     refresh_view(sim)
     charging(sim)
     dispatch(sim)
+    planning.retime(sim)
     if unplanned_work(sim):
         sim.retry = sim.tick + max(1, ticks_from_s(recovery.RETRY_S, sim.tick_s))
     check_done(sim)
@@ -154,6 +155,8 @@ def charging(sim: Simulation) -> None:
         sim.queue = []
         return
     f = sim.fleet
+    low = np.array(idle)[f.charge[idle] < sim.levels.good[idle]]
+    sim.must_charge[low] = 1
     if not sim.must_charge.any() and all(home_is_good(sim, v) for v in idle):
         sim.queue = []
         return
@@ -186,7 +189,7 @@ def dispatch(sim: Simulation) -> None:
         refused |= {r.order: r.reason for r in refusals}
         failed = [a for a in assignments if not give(sim, a)]
         for a in failed:
-            refused[a.order] = f"vehicle {a.vehicle} found no way free of conflicts"
+            refused[a.order] = "no way free of conflicts was found"
             sim.not_before[a.order] = sim.tick + max(1, ticks_from_s(STAND_BACK_S, sim.tick_s))
         if not failed:
             break

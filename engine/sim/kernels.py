@@ -25,6 +25,7 @@ from engine.sim.state import (
     I64,
     LATE,
     LINGERING,
+    LOW,
     MARGIN,
     ORDER_DONE,
     PATIENCE,
@@ -164,8 +165,10 @@ def finish(
 
 @njit(cache=True, nogil=True)
 def first(c: Claims, slot: int) -> int:
-    """NONE when a claim is the first of its place, else the owner of the claim right before it."""
-    return NONE if slot < 0 else c.owner[c.prev[slot]]
+    """NONE when a claim is the first of its place, but for its owner's own margin; else the owner of the one before."""
+    if slot < 0 or c.owner[c.prev[slot]] == c.owner[slot]:
+        return NONE
+    return c.owner[c.prev[slot]]
 
 
 @njit(cache=True, nogil=True)
@@ -223,13 +226,21 @@ def due(
             if f.hold[v] > t:
                 open_interval(f, g, sink, total_mj, v, WAIT, C_DELAY, NONE, t, FOREVER)
                 return False
-    kind = g.edge_kind[p.edge[v, k]]
+    kind = g.edge_kind[motion_now(f, p, g, v, t)]
     need = total_mj[f.cls[v], f.loaded[v], kind] + g.kind_ticks[kind] * standby_mj[f.cls[v]]
     if need * 1000 > f.charge[v] * voltage(levels, f.charge[v], levels.capacity[v]):
         open_interval(f, g, sink, total_mj, v, WAIT, C_EMPTY, NONE, t, FOREVER)
         clock[LATE] = 1
         return False
     return True
+
+
+@njit(cache=True, nogil=True)
+def motion_now(f: Fleet, p: Steps, g: GraphArrays, v: int, t: int) -> int:
+    """Edge of a vehicle's next motion at t: from rest, unless it came rolling into this very tick."""
+    e = p.edge[v, f.step[v]]
+    rolling = f.rolled[v] == t and f.state[v] & 1 == 1
+    return e if (g.edge_from[e] & 1 == 1) == rolling else g.edge_twin[e]
 
 
 @njit(cache=True, nogil=True)
@@ -243,14 +254,10 @@ def voltage(levels: Levels, charge: int, capacity: int) -> int:
 def start_motion(
     f: Fleet, p: Steps, g: GraphArrays, c: Claims, sink: Sink, total_mj: I64, clock: I64, v: int, t: int
 ) -> None:
-    """Begin the next motion of a vehicle; it drives off from rest unless it came rolling into this very tick."""
+    """Begin the next motion of a vehicle."""
     k = f.step[v]
-    e = p.edge[v, k]
-    rolling = f.rolled[v] == t and f.state[v] & 1 == 1
-    if not rolling:
-        f.state[v] &= ~1
-    if (g.edge_from[e] & 1 == 1) != rolling:
-        e = g.edge_twin[e]
+    e = motion_now(f, p, g, v, t)
+    f.state[v] = g.edge_from[e]
     kind = g.edge_kind[e]
     end = t + g.kind_ticks[kind]
     if end != p.end[v, k]:
@@ -394,6 +401,8 @@ def draw_energy(
         f.charge[v] = before - moved
         if before < levels.sufficient[v] <= f.charge[v]:
             mark(f, sink, clock, v, CHARGED, t + 1)
+        if before >= levels.good[v] > f.charge[v] and f.order[v] == NONE:
+            mark(f, sink, clock, v, LOW, t + 1)
         if f.charge[v] <= 0 and before > 0:
             mark(f, sink, clock, v, EMPTY, t + 1)
 

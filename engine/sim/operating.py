@@ -82,5 +82,6 @@ def set_thresholds(sim: Simulation, new: dict[str, float]) -> None:
     capacity = sim.parts.battery.capacity_mc
     sim.levels.full[:] = round(capacity * new["full"])
     sim.levels.sufficient[:] = round(capacity * new["sufficient"])
+    sim.levels.good[:] = round(capacity * new["good"])
     sim.levels.top_up[:] = round(capacity * max(new["full"] - 0.03, new["sufficient"] * 0.97))
     sim.must_charge[sim.fleet.charge >= sim.levels.sufficient] = 0

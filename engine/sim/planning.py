@@ -104,10 +104,11 @@ def retime(sim: Simulation) -> None:
     clock[LATE] = 0
     ready = np.where(f.t1 < FOREVER, f.t1, np.maximum(f.hold, sim.tick)).astype(np.int32)
     ready[f.paused == 1] = np.maximum(ready[f.paused == 1], sim.tick + 1)
-    traffic.retime(
+    far = traffic.retime(
         sim.claims, sim.steps, sim.arrays, bool(clock[HOLD]), int(clock[MARGIN]), f.step, f.steps, f.here,
         ready,
     )  # fmt: skip
+    clock[LATE] = int(far > 0)
 
 
 def drop_plan(sim: Simulation, v: int) -> None:
@@ -118,6 +119,7 @@ def drop_plan(sim: Simulation, v: int) -> None:
     f.final[v] = int(Activity.WAIT)
     f.stalled[v] = -1
     c.end[f.here[v]] = FOREVER
+    sim.clock[LATE] = 1
     sim.try_at[v] = 0
     if v not in sim.needs_plan:
         sim.needs_plan.append(v)

@@ -28,6 +28,7 @@ from engine.sim.commands import Answer, submit
 from engine.sim.faults import Faults
 from engine.sim.ledger import Ledger, Recorder
 from engine.sim.state import (
+    DECIDE,
     DELAY_HI,
     DELAY_LO,
     DELAY_PPM,
@@ -128,7 +129,7 @@ class Simulation:
         power = np.array(self.parts.power_mj, np.int64)
         return Levels(
             all_of(charging.full), all_of(max(charging.full - 0.03, charging.sufficient * 0.97)),
-            all_of(charging.sufficient), all_of(1.0), power, self.parts.battery.voltage_mv,
+            all_of(charging.sufficient), all_of(charging.good), all_of(1.0), power, self.parts.battery.voltage_mv,
         )  # fmt: skip
 
     def _floor_view(self) -> FloorView:
@@ -157,7 +158,7 @@ class Simulation:
         clock[SEED] = self.parts.seed % 2**62
         clock[DELAY_PPM] = round(s.faults.delay_probability * 1e6)
         clock[DELAY_LO], clock[DELAY_HI] = s.faults.delay_ticks
-        clock[HALF] = 1
+        clock[HALF] = clock[DECIDE] = 1
         f.charge[:] = np.rint(self.parts.initial_soc * self.parts.battery.capacity_mc).astype(np.int64)
         for v, place in enumerate(self.parts.start):
             f.here[v] = traffic.claim(self.claims, place, 0, FOREVER, v)

@@ -19,7 +19,7 @@ I64 = NDArray[np.int64]
 NC = len(COMPONENTS)
 
 # Reasons for which the kernel hands over to the deciders (Sink.marks).
-ORDER_DONE, ARRIVED, CHARGED, STALLED, EMPTY, PICKED = 1, 2, 4, 8, 16, 32
+ORDER_DONE, ARRIVED, CHARGED, STALLED, EMPTY, PICKED, LOW = 1, 2, 4, 8, 16, 32, 64
 
 # Clock fields.
 TICK, LATE, SAMPLE, PATIENCE, MARGIN, HOLD, SEED, DELAY_PPM, DELAY_LO, DELAY_HI, HALF, DECIDE, LINGERING = range(13)
@@ -69,6 +69,7 @@ class Levels(NamedTuple):
     full: I64
     top_up: I64
     sufficient: I64
+    good: I64
     capacity: I64
     power: I64  # (2,)
     voltage_mv: I64  # (POINTS,) over the state of charge

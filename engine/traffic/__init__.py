@@ -2,9 +2,10 @@
 
 from engine.traffic.claims import Claims, claim, gap_at, gap_end, grown, new_claims, release
 from engine.traffic.departures import HORIZON, STAY, GraphArrays, Ground, departure, graph_arrays, ground_of
-from engine.traffic.steps import Steps, commit, forget, lift, new_steps, put_back, retime, wider
+from engine.traffic.steps import FAR, Steps, commit, forget, lift, new_steps, put_back, retime, wider
 
 __all__ = [
+    "FAR",
     "HORIZON",
     "STAY",
     "Claims",

@@ -19,6 +19,10 @@ from engine.types import FOREVER, NONE
 I32 = NDArray[np.int32]
 
 
+FAR = FOREVER // 2
+"""Planned times from here on mean: behind somebody who does not leave for now."""
+
+
 class Steps(NamedTuple):
     """Plans under execution, (V, S): edge of the motion graph or -1 for a stay, ticks, claims of the places entered."""
 
@@ -130,7 +134,8 @@ def retime(
     """Move the planned times of all steps not yet started to the earliest that the order of claims allows.
 
     ready: (V,) first tick at which a vehicle can start its next step. Steps are visited in the order of their old
-    start, which is an order of the dependency graph. Returns how many steps moved.
+    start, which is an order of the dependency graph. Steps behind somebody who never leaves (it broke down) go to FAR
+    and come back when that has changed. Returns how many steps are there.
     """
     n_steps = 0
     for v in range(len(step)):
@@ -144,24 +149,26 @@ def retime(
             when[i], who[i], which[i] = p.start[v, k], v, k
             i += 1
     order = np.argsort(when, kind="mergesort")
-    moved = 0
+    far = 0
     again = True
     while again:
         again = False
+        far = 0
         at_tick = ready.copy()
         at_claim = here.copy()
         for j in order:
             v, k = who[j], which[j]
-            begin = max(p.start[v, k], at_tick[v])
+            begin = at_tick[v] if p.start[v, k] >= FAR else max(p.start[v, k], at_tick[v])
             for slot in (p.claim[v, k], p.sweep0[v, k], p.sweep1[v, k]):
-                if slot >= 0 and c.owner[c.prev[slot]] >= 0:
+                # the margin keeps others away, not the vehicle itself
+                if slot >= 0 and c.owner[c.prev[slot]] >= 0 and c.owner[c.prev[slot]] != v:
                     gone = c.end[c.prev[slot]]
+                    if gone >= FOREVER:
+                        gone = FAR
                     begin = max(begin, gone if hold else gone - 1)
-            # behind something that never leaves (it broke down): far away, but in order
-            begin = min(begin, FOREVER // 2 + p.start[v, k] % (FOREVER // 4))
+            far += begin >= FAR - 1
             span = p.end[v, k] - p.start[v, k]
             if begin != p.start[v, k]:
-                moved += 1
                 if not hold:
                     again = True
                 p.start[v, k], p.end[v, k] = begin, begin + span
@@ -173,7 +180,7 @@ def retime(
             for slot in (p.sweep0[v, k], p.sweep1[v, k]):
                 if slot >= 0:
                     c.start[slot], c.end[slot] = begin, begin + span + margin
-    return moved
+    return far
 
 
 def wider(p: Steps, slots: int) -> Steps:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
+import urllib.error
 import urllib.request
 from typing import Any
 
@@ -21,6 +23,12 @@ def api(url: str, path: str, body: dict[str, Any] | None = None) -> Any:
         return json.load(answer)
 
 
+def stop_run(url: str, run: str) -> None:
+    """Tidies up: stops a run; one too busy to answer ends with its dashboard."""
+    with contextlib.suppress(urllib.error.HTTPError):
+        api(url, f"/api/runs/{run}/control", {"op": "stop"})
+
+
 def open_stage(page: Page, address: str) -> None:
     """Opens a page with a map and returns once the fleet is drawn."""
     page.goto(address)
@@ -31,6 +39,15 @@ def clock_s(page: Page) -> int:
     """The simulated time shown in the top bar."""
     hours, minutes, seconds = page.locator(".wl-clock").inner_text().split(":")
     return int(hours) * 3600 + int(minutes) * 60 + int(seconds)
+
+
+def clock_text(seconds: int) -> str:
+    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
+
+
+def at_time(page: Page, seconds: int) -> None:
+    """Waits until the page shows this simulated time."""
+    expect(page.locator(".wl-clock")).to_have_text(clock_text(seconds))
 
 
 def vehicle_at(page: Page, vehicle: int) -> tuple[float, float]:

@@ -12,23 +12,37 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.stage import api, chip, clock_s, menu_at, note, open_stage, place_at, tab, vehicle_at
+from tests.browser.stage import (
+    api,
+    at_time,
+    chip,
+    clock_s,
+    menu_at,
+    note,
+    open_stage,
+    place_at,
+    stop_run,
+    tab,
+    vehicle_at,
+)
 
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def run(dashboard: Any) -> Iterator[str]:
-    """A live run of its own, paused after its first seconds."""
+    """The live run that the tests of this file share."""
     made = api(dashboard.url, "/api/runs", {"scenario": "soochow2022-continuous", "seed": 5, "speed": 16})
     yield made["run_id"]
-    api(dashboard.url, f"/api/runs/{made['run_id']}/control", {"op": "stop"})
+    stop_run(dashboard.url, made["run_id"])
 
 
 @pytest.fixture
 def operated(dashboard: Any, page: Page, run: str) -> Page:
-    """The page of a live run that has got going."""
+    """The page of the live run, going at 16 times real time."""
     open_stage(page, f"{dashboard.url}/operate?run={run}")
+    for asked in ({"op": "speed", "speed": 16}, {"op": "play"}):
+        api(dashboard.url, f"/api/runs/{run}/control", asked)
     expect(page.locator(".wl-clock")).not_to_have_text(re.compile(r"00:00:[0-2]\d"), timeout=120_000)
     return page
 
@@ -162,25 +176,21 @@ def test_time_is_stepped_looked_back_at_and_live_again(operated: Page) -> None:
     now = clock_s(page)
     page.locator(".wl-map-canvas").focus()
     page.keyboard.press("ArrowRight")
-    expect(page.locator(".wl-clock")).to_have_text(clock_text(now + 1))
+    at_time(page, now + 1)
     page.keyboard.press("Shift+ArrowRight")
-    expect(page.locator(".wl-clock")).to_have_text(clock_text(now + 11))
+    at_time(page, now + 11)
     page.keyboard.press("Home")
     chip(page, "REPLAY")
     expect(page.locator(".wl-note")).to_contain_text("Return to LIVE")
-    assert clock_s(page) == 0
+    at_time(page, 0)
     page.locator("#speed").select_option("8")
     page.locator(".wl-map-canvas").focus()
     page.keyboard.press("Space")
     expect(page.locator(".wl-clock")).to_have_text(re.compile("00:00:(0[4-9]|[1-5])"))
     page.keyboard.press("End")
     chip(page, "PAUSED")
-    assert clock_s(page) == now + 11
+    at_time(page, now + 11)
     assert "t=" not in page.url.split("?")[1].replace("layers", "")
-
-
-def clock_text(seconds: int) -> str:
-    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
 
 
 def test_speed_is_asked_for_and_reached(operated: Page) -> None:
@@ -223,17 +233,20 @@ def test_the_start_form_refuses_with_the_nearest_name_and_starts_a_run(
     expect(page.locator(".wl-left")).to_contain_text("11")
     made = re.search(r"run=([^&]+)", page.url)
     assert made
-    api(dashboard.url, f"/api/runs/{made[1]}/control", {"op": "stop"})
+    stop_run(dashboard.url, made[1])
 
 
-def test_a_killed_worker_is_shown_and_resumed(operated: Page, run: str) -> None:
-    page = operated
+def test_a_killed_worker_is_shown_and_resumed(dashboard: Any, page: Page) -> None:
+    run = api(dashboard.url, "/api/runs", {"scenario": "soochow2022-continuous", "seed": 6})["run_id"]
+    open_stage(page, f"{dashboard.url}/operate?run={run}")
+    chip(page, "LIVE", 120_000)
     found = subprocess.run(["pgrep", "-f", f"app.worker .*{run}"], capture_output=True, text=True, check=True)
     os.kill(int(found.stdout.split()[0]), signal.SIGKILL)
     expect(page.locator("#run-banner")).to_contain_text("process has ended", timeout=15_000)
     page.get_by_role("button", name="Resume from the last checkpoint").click()
     page.wait_for_selector("#map[data-frames]", timeout=60_000)
     chip(page, "LIVE", 60_000)
+    stop_run(dashboard.url, run)
 
 
 def test_a_lost_server_is_a_veil_until_it_is_back(new_dashboard: Callable[..., Any], page: Page, watch: Any) -> None:

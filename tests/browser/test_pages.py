@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.stage import api, open_stage
+from tests.browser.stage import api, open_stage, stop_run
 from tests.synthetic import make_run
 
 pytestmark = pytest.mark.browser
@@ -44,8 +44,10 @@ def test_what_is_not_there_is_a_sentence_with_a_way_on(dashboard: Any, page: Pag
 
 def test_an_empty_program_names_the_first_action(new_dashboard: Callable[..., Any], page: Page) -> None:
     own = new_dashboard()
+    open_stage(page, own.url)
+    expect(page.locator(".wl-clock")).not_to_have_text("00:00:00", timeout=150_000)
     for run in api(own.url, "/api/runs"):
-        api(own.url, f"/api/runs/{run['run_id']}/control", {"op": "stop"})
+        stop_run(own.url, run["run_id"])
     for _ in range(600):
         if api(own.url, "/healthz")["live_runs"] == 0:
             break
