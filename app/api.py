@@ -90,11 +90,11 @@ def replay_frame(manager: RunManager, run_id: str, time_s: float | None, sequenc
 
     def ask(view: RunView) -> bytes:
         time_ticks = ticks_of(view, tick_s, time_s)
-        floor = view.world.floor_json()
+        width_m, height_m = view.world.size_m
         return encode_frame(
             view.poses(time_ticks),
-            width_m=floor["width"] * floor["cell_m"],
-            height_m=floor["height"] * floor["cell_m"],
+            width_m=width_m,
+            height_m=height_m,
             time_s=time_ticks * tick_s,
             tick=int(time_ticks),
             sequence=sequence,

@@ -112,8 +112,7 @@ class LiveRun:
         self.ending = ""  # "server gone", "stop" or "done"
         self.sequence = 0
         self.reached = 0.0
-        floor = run.sim.world.floor_json()
-        self.size_m = (floor["width"] * floor["cell_m"], floor["height"] * floor["cell_m"])
+        self.size_m = run.sim.world.size_m
         now = time.monotonic()
         self.anchor = (now, run.sim.tick)
         self.window: tuple[float, float] = (now, float(run.sim.tick))

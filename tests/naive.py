@@ -352,7 +352,7 @@ class Step:
 
 
 def earliest_starts(steps: Sequence[Step], margin: int) -> list[int]:
-    """Longest paths: the least starts, none earlier than planned, that keep every promise; round until nothing moves."""
+    """Longest paths: the least starts, none earlier than planned, that keep every promise; until nothing moves."""
     start = [max(s.start, s.ready) for s in steps]
     moved = True
     while moved:
@@ -398,10 +398,10 @@ def timeline(motions: Sequence[Motion]) -> dict[int, list[Motion]]:
 
 def occupied(floor: Floor, motions: Sequence[Motion]) -> list[Reservation]:
     """What every vehicle of a recorded run occupied, as reservations."""
+    heading = floor.graph.state_heading
     edge_of = {
-        (e.from_place, int(floor.graph.state_heading[e.source]), e.to_place, int(floor.graph.state_heading[e.target]), e.kind): e
-        for e in floor.edges
-    }  # fmt: skip
+        (e.from_place, int(heading[e.source]), e.to_place, int(heading[e.target]), e.kind): e for e in floor.edges
+    }
     out: list[Reservation] = []
     for v, rows in timeline(motions).items():
         drives = []

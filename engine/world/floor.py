@@ -113,6 +113,11 @@ class World:
         return int(self.cells.shape[0])
 
     @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height in metres."""
+        return self.width * self.cell_mm / 1000, self.height * self.cell_mm / 1000
+
+    @property
     def n_places(self) -> int:
         return self.graph.n_places
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.planners.base import Budget, Leg, Plan
-from engine.traffic.departures import GraphArrays, graph_arrays
 from engine.traffic import (
     Claims,
     Steps,
@@ -27,6 +28,7 @@ from engine.traffic import (
     wider,
 )
 from engine.traffic.claims import discard, free_from, link, unlink
+from engine.traffic.departures import GraphArrays, graph_arrays
 from engine.types import FOREVER, NONE, Activity
 from tests import naive
 from tests.strategies import Ask, Ground, grounds
@@ -200,7 +202,7 @@ def dependencies(f: Fleet, ready: np.ndarray) -> tuple[list[tuple[int, int]], li
                     entered_by[corner] = left_by[corner] = i
     for place in range(f.ground.graph.n_places):
         slots = listed(c, place)
-        for before, after in zip(slots, slots[1:], strict=False):
+        for before, after in itertools.pairwise(slots):
             step = steps[entered_by[after]]
             (step.gone if f.ground.floor.hold else step.begun).append(left_by[before])
     assert margin == 0 or f.ground.floor.hold
@@ -229,7 +231,7 @@ def test_retiming_is_the_longest_path_and_keeps_the_order(data: st.DataObject) -
     for (v, k), s in zip(names, steps, strict=True):
         assert f.steps.end[v, k] - f.steps.start[v, k] == s.span
     for slots in before:
-        for a, b in zip(slots, slots[1:], strict=False):
+        for a, b in itertools.pairwise(slots):
             same = f.claims.owner[a] == f.claims.owner[b]
             assert f.claims.end[a] <= f.claims.start[b] or same
     once = f.everything()

@@ -99,7 +99,7 @@ def test_rows_are_kept_until_there_is_no_room_and_never_those_in_use() -> None:
     room = 10 * 8 * (graph.n_states // 2)
     tables, plain = Tables(graph, costs, poses=True, max_bytes=room), Tables(graph, costs, poses=True)
     goals = [int(g) for g in np.random.default_rng(3).integers(0, graph.n_places, 200)]
-    for i, goal in enumerate(goals):
+    for i in range(len(goals)):
         wanted = set(goals[max(0, i - 4) : i + 1])
         slots = {g: tables.slot(g, wanted) for g in wanted}
         assert len(set(slots.values())) == len(wanted)
