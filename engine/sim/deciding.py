@@ -163,7 +163,7 @@ def charging(sim: Simulation) -> None:
     moves, queue = sim.parts.charging.moves(sim.view, idle)
     for move in moves:
         task = Task.TO_CHARGER if move.to_charge else Task.TO_REST
-        if planning.send(sim, move.vehicle, (), move.rests, task, NONE):
+        if planning.send(sim, move.vehicle, (), move.rests, task, NONE) and planning.under_way(sim, move.vehicle):
             f.task[move.vehicle] = int(task)
     for v in queue:
         if v not in sim.queue:

@@ -399,7 +399,7 @@ def draw_energy(
             moved, work = before, before * volt
         f.rest[v] = work - moved * volt
         f.charge[v] = before - moved
-        if before < levels.sufficient[v] <= f.charge[v]:
+        if before < levels.sufficient[v] <= f.charge[v] or before < levels.full[v] <= f.charge[v]:
             mark(f, sink, clock, v, CHARGED, t + 1)
         if before >= levels.good[v] > f.charge[v] and f.order[v] == NONE:
             mark(f, sink, clock, v, LOW, t + 1)

@@ -28,7 +28,8 @@ def send_to(sim: Simulation, v: int, place: int) -> bool:
     deciding.refresh_view(sim)
     if not planning.send(sim, v, (), (place,), Task.SENT, NONE):
         return False
-    sim.fleet.task[v] = int(Task.SENT)
+    if planning.under_way(sim, v):
+        sim.fleet.task[v] = int(Task.SENT)
     if v in sim.needs_plan:
         sim.needs_plan.remove(v)
     return True
@@ -68,7 +69,7 @@ def set_charger(sim: Simulation, charger: int, *, works: bool) -> None:
         return
     f = sim.fleet
     if works:
-        if f.step[v] >= f.steps[v]:
+        if f.final[v] == Activity.REST:
             f.final[v] = int(Activity.CHARGE)
     elif f.step[v] >= f.steps[v] and f.t1[v] == FOREVER:
         f.final[v] = int(Activity.REST)

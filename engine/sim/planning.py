@@ -62,6 +62,12 @@ def plan(sim: Simulation, v: int, legs: tuple[Leg, ...], final: Activity, task: 
     return True
 
 
+def under_way(sim: Simulation, v: int) -> bool:
+    """False when a vehicle stands where its plan ends."""
+    f = sim.fleet
+    return bool(f.step[v] < f.steps[v] or f.t1[v] < FOREVER)
+
+
 def start_of(sim: Simulation, v: int) -> tuple[int, int]:
     """Motion state and tick from which a new plan for a vehicle starts."""
     f = sim.fleet

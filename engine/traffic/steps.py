@@ -164,9 +164,9 @@ def retime(
                 if slot >= 0 and c.owner[c.prev[slot]] >= 0 and c.owner[c.prev[slot]] != v:
                     gone = c.end[c.prev[slot]]
                     if gone >= FOREVER:
-                        gone = FAR
+                        gone = FAR + 1
                     begin = max(begin, gone if hold else gone - 1)
-            far += begin >= FAR - 1
+            far += begin >= FAR
             span = p.end[v, k] - p.start[v, k]
             if begin != p.start[v, k]:
                 if not hold:
