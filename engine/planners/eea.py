@@ -35,7 +35,8 @@ RULES = ("cost", "straight")
 class Eea:
     """variant: one of VARIANTS · heuristic: one of HEURISTICS · tie: `fifo` or `lifo` among equal f
 
-    · reversal, restart: `cost` charges what they cost, `straight` counts them as straight.
+    · reversal, restart: `cost` charges what they cost, `straight` counts them as straight
+    · increments: False counts every energy anew from the start (the paper's slow form, same answers).
     """
 
     variant: str = "exact"
@@ -43,6 +44,7 @@ class Eea:
     tie: str = "lifo"
     reversal: str = "cost"
     restart: str = "cost"
+    increments: bool = True
 
     def __post_init__(self) -> None:
         for what, name, known in (
@@ -93,8 +95,8 @@ class Eea:
         while True:
             floor.state_work = work
             status = single.eea(
-                net, work, floor.blocked, cost, standby, waits, reverse, starts, goal, bounds, table,
-                self.tie == "lifo", limit, rows, out,
+                net, work, floor.blocked, cost, standby, waits, reverse, not self.increments, starts,
+                goal, bounds, table, self.tie == "lifo", limit, rows, out,
             )  # fmt: skip
             if status != single.FULL:
                 break

@@ -127,7 +127,7 @@ class Desk:
 
     def energies(self, vehicle: int) -> I64:
         """Exact energy from every state to a vehicle's goal on the floor without blocks."""
-        return self.floor.table(int(self.problem.goals[vehicle]), self.mj[self.problem.cls[vehicle]])
+        return self.floor.table(int(self.problem.goals[vehicle]), self.mj[int(self.problem.cls[vehicle])])
 
     def alone(self, objective: str) -> I64:
         """Cost of every vehicle if it were alone; -1 where there is no way. Energies ignore blocks: lower bounds."""

@@ -480,15 +480,30 @@ def _bucket(w, f, used, size):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def walked(net, came, cost, standby, s):  # type: ignore[no-untyped-def]
+    """mJ from the start to a state, along the motions by which it was reached."""
+    total = np.int64(0)
+    by = came[s]
+    while by != -1:
+        if by >= 0:
+            total += cost[net.edge_kind[by]]
+            by = came[net.edge_from[by]]
+        else:
+            total += standby
+            by = came[-2 - by]
+    return total
+
+
+@njit(cache=True, nogil=True)
 def eea(
-    net: Net, w: StateWork, blocked: NDArray[np.uint8], cost: I64, standby: int, waits: bool, reverse: int,
+    net: Net, w: StateWork, blocked: NDArray[np.uint8], cost: I64, standby: int, waits: bool, reverse: int, rewalk: bool,
     starts: I32, goal: int, closed: Closed, table: I64, lifo: bool, limit: int, trace: Trace, out: I64,
 ) -> int:  # fmt: skip
     """Least energy from any of the starts to any state of a place. cost: (K,) mJ of each primitive, standby included.
 
     table: (S,) cost to go, or empty for the closed form · waits: standing may pay (only where a restart is cheaper than
-    a turn) · reverse: a primitive that never pays right after another motion, or -1. out: last state, mJ, expansions,
-    rows traced. FULL: more room is needed.
+    a turn) · reverse: a primitive that never pays right after another motion, or -1 · rewalk: count each g
+    anew from the start, as the paper's slow form does. out: last state, mJ, expansions, rows traced. FULL: more room is needed.
     """
     w.base[0] -= SPAN
     if w.base[0] < SPAN:
@@ -565,6 +580,8 @@ def eea(
                 v = net.stopped[s]
                 g2 = gs + standby
                 by = -2 - s
+            if rewalk:
+                g2 += walked(net, came, cost, standby, s) + base - gs
             if g2 >= best[v] or blocked[v >> shift]:
                 continue
             best[v] = g2
