@@ -133,10 +133,10 @@ class Desk:
         """Cost of every vehicle if it were alone; -1 where there is no way. Energies ignore blocks: lower bounds."""
         p = self.problem
         tables, row = self.steps()
-        ticks = tables[row, p.starts >> self.floor.net.shift].astype(np.int64)
+        ticks: I64 = tables[row, p.starts >> self.floor.net.shift].astype(np.int64)
         if objective == "time":
             return ticks
-        mj: I64 = np.array([self.energies(a)[s] for a, s in enumerate(p.starts.tolist())], np.int64)
+        mj = np.array([self.energies(a)[s] for a, s in enumerate(p.starts.tolist())], np.int64)
         mj[(ticks < 0) | (mj >= FAR)] = -1
         return mj
 

@@ -210,8 +210,8 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float | None]:
 
 
 def row(
-    experiment: int, quantity: str, case: str, values: Sequence[float], paper: float | tuple[float, float] | None = None,
-    unit: str = "%", note: str = "",
+    experiment: int, quantity: str, case: str, values: Sequence[float],
+    paper: float | tuple[float, float] | None = None, unit: str = "%", note: str = "",
 ) -> Row:  # fmt: skip
     """A line of the table from the maps' values, with its verdict."""
     mean, half = mean_interval(values)
@@ -248,19 +248,22 @@ def to_markdown(result: Result) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for r in result.rows:
-        paper = (
-            "–"
-            if r.paper is None
-            else f"{r.paper[0]:g}"
-            if r.paper[0] == r.paper[1]
-            else f"{r.paper[0]:g}–{r.paper[1]:g}"
-        )
+        low, high = r.paper or (0.0, 0.0)
+        paper = "–" if r.paper is None else f"{low:g}" if low == high else f"{low:g}–{high:g}"
         half = "–" if r.half_width is None else f"±{r.half_width:.2f}"
         verdict = r.verdict if r.off is None else f"{r.verdict} ({r.off:+.2f})" if r.off else r.verdict
         note = f" ({r.note})" if r.note else ""
-        lines.append(
-            f"| {r.experiment} | {r.quantity}{note}, {r.unit} | {r.case} | {paper} | {r.ours:.2f} | {half} | {r.n} | {verdict} |"
-        )
+        words = [
+            str(r.experiment),
+            f"{r.quantity}{note}, {r.unit}",
+            r.case,
+            paper,
+            f"{r.ours:.2f}",
+            half,
+            str(r.n),
+            verdict,
+        ]
+        lines.append(f"| {' | '.join(words)} |")
     lines += ["", "One parameter set for all rows:", ""]
     lines += [f"- {name}: {value}" for name, value in result.parameters.items()]
     if result.notes:

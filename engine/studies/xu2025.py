@@ -178,7 +178,9 @@ def _many(cell: Cell, instance: Instance) -> Cell:
         if not found.states:
             continue
         ways = [states >> floor.net.shift for states in found.states]
-        breaches = judge_plan(problem.graph, ways, starts=places, goals=problem.goals.tolist())
+        breaches = judge_plan(
+            problem.graph, [way.tolist() for way in ways], starts=places, goals=problem.goals.tolist()
+        )
         out["breaches"][name] = len(breaches)
         # the first motion is straight in whichever direction it goes, for all alike
         free = [floor.along(way) for way in ways]
@@ -222,7 +224,9 @@ def _rows(of: Mapping[tuple[int, int, float], list[Cell]]) -> list[Row]:
         case = f"{density:.0%}" if e != 2 else f"{size} × {size}"
         if e in (1, 2):
             # sizes in between are only known to lie between the printed ends
-            paper = GROUP_MEANS if e == 1 else BY_SIZE.get(size, tuple(BY_SIZE.values()))
+            printed = BY_SIZE.get(size)
+            ends = (BY_SIZE[20], BY_SIZE[50]) if printed is None else (printed, printed)
+            paper = GROUP_MEANS if e == 1 else ends
             rows.append(
                 row(e, "energy saved by EEA* over A*", case, [saving(r, "astar", "eea") for r in results], paper)
             )

@@ -496,14 +496,14 @@ def walked(net, came, cost, standby, s):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def eea(
-    net: Net, w: StateWork, blocked: NDArray[np.uint8], cost: I64, standby: int, waits: bool, reverse: int, rewalk: bool,
-    starts: I32, goal: int, closed: Closed, table: I64, lifo: bool, limit: int, trace: Trace, out: I64,
+    net: Net, w: StateWork, blocked: NDArray[np.uint8], cost: I64, standby: int, waits: bool, reverse: int,
+    rewalk: bool, starts: I32, goal: int, closed: Closed, table: I64, lifo: bool, limit: int, trace: Trace, out: I64,
 ) -> int:  # fmt: skip
     """Least energy from any of the starts to any state of a place. cost: (K,) mJ of each primitive, standby included.
 
     table: (S,) cost to go, or empty for the closed form · waits: standing may pay (only where a restart is cheaper than
     a turn) · reverse: a primitive that never pays right after another motion, or -1 · rewalk: count each g
-    anew from the start, as the paper's slow form does. out: last state, mJ, expansions, rows traced. FULL: more room is needed.
+    anew from the start, as the paper's slow form does. out: last state, mJ, expansions, rows traced. FULL: no room.
     """
     w.base[0] -= SPAN
     if w.base[0] < SPAN:
