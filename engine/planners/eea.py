@@ -83,8 +83,16 @@ class Eea:
         starts = floor.headings(start)
         if heading is not None:
             starts = starts[heading : heading + 1]
-        table = floor.table(goal, cost) if self.heuristic == "table" else np.zeros(0, np.int64)
-        bounds = closed(cost, floor.kinds) if self.heuristic == "closed" else paper(cost, floor.kinds)
+        table = (
+            floor.table(goal, with_waits(cost, standby, floor.kinds))
+            if self.heuristic == "table"
+            else np.zeros(0, np.int64)
+        )
+        bounds = (
+            closed(with_waits(cost, standby, floor.kinds), floor.kinds)
+            if self.heuristic == "closed"
+            else paper(cost, floor.kinds)
+        )
         most = floor.graph.n_states * (64 if self.variant == "literal-cell-time" else 1)
         rows = single.new_trace(min(most, 1_000_000) if trace else 0)
         out = np.zeros(4, np.int64)
@@ -120,6 +128,10 @@ class Eea:
         table: I64, rows: single.Trace, out: I64, limit: int,
     ) -> Way:  # fmt: skip
         n = floor.graph.n_places
+        steps = np.full(n + 1, -1, np.int32)
+        single.steps_to(floor.grounds.step, goal, steps, np.zeros(n, np.int32))
+        if steps[starts[0] >> floor.net.shift] < 0:  # time would go on for ever
+            return Way(PlanStatus.NO_PATH, np.zeros(0, np.int32), -1, 0)
         layers = 1 if self.variant == "literal-cell" else 256
         while True:
             size = layers * n
@@ -130,7 +142,7 @@ class Eea:
             )  # fmt: skip
             if status != single.FULL:
                 break
-            if size > 1 << 28:
+            if size > 1 << 24:
                 status = single.BUDGET
                 break
             layers *= 4
@@ -145,6 +157,14 @@ class Eea:
         way = np.array(places[::-1], np.int32)
         begin = int(starts[0]) if len(starts) == 1 else None
         return Way(PlanStatus.SOLVED, floor.along(way, begin), int(out[1]), int(out[2]), kept)
+
+
+def with_waits(cost: I64, standby: int, kind: dict[str, int]) -> I64:
+    """Energy of each primitive when standing before it is free to choose, but for its standby."""
+    least = cost.copy()
+    for name in ("straight", "turn", "reverse"):
+        least[kind[name]] = min(int(cost[kind[name]]), standby + int(cost[kind[f"start {name}"]]))
+    return least
 
 
 def closed(cost: I64, kind: dict[str, int]) -> single.Closed:
