@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.planners.constraint_tree import Settings, solve_tree
+from engine.planners.kernels.cbs_low import lift
 from engine.planners.oneshot import Limits, Problem, Solution
 from engine.world.motion_graph import MotionGraph
 
@@ -22,7 +23,7 @@ I32 = NDArray[np.int32]
 @dataclass(frozen=True, slots=True)
 class CBS:
     """w: proven factor of suboptimality · cover: heuristic of the tree, 0 none, 1 CG, 2 DG, 3 WDG · disjoint,
-    cardinal, bypass, target, corridor: each changes the work, never the cost · tries: orders of prioritized planning
+    cardinal, bypass, target: each changes the work, never the cost · tries: orders of prioritized planning
     for a first plan.
     """
 
@@ -32,19 +33,18 @@ class CBS:
     bypass: bool = True
     cover: int = 3
     target: bool = True
-    corridor: bool = False
     tries: int = 2
 
     def solve(self, problem: Problem, limits: Limits, *, trace: bool = False) -> Solution:
         """Least sum of ticks until each vehicle's last arrival."""
         settings = Settings(
             disjoint=self.disjoint, cardinal=self.cardinal, bypass=self.bypass, cover=self.cover, target=self.target,
-            corridor=self.corridor, tries=self.tries, w=self.w,
+            tries=self.tries, w=self.w,
         )  # fmt: skip
-        found, roads, ways = solve_tree(problem, limits, settings, energy=False, trace=trace)
+        found, on_places, ways = solve_tree(problem, limits, settings, energy=False, trace=trace)
         if not ways:
             return found
-        if len(roads.place) != problem.graph.n_places:
+        if not on_places:
             return replace(found, states=tuple(ways))
         return replace(
             found, states=tuple(lifted(problem.graph, int(s), w) for s, w in zip(problem.starts, ways, strict=True))
@@ -54,13 +54,5 @@ class CBS:
 def lifted(graph: MotionGraph, start: int, places: I32) -> I32:
     """Motion states of a way given by places, from a standing start."""
     out = np.empty(len(places), np.int32)
-    out[0] = s = start
-    ptr, to, place, stopped = graph.edge_ptr, graph.edge_to, graph.state_place, graph.stopped
-    for t, p in enumerate(places[1:].tolist(), 1):
-        if p == place[s]:
-            s = int(stopped[s])
-        else:
-            ahead = to[ptr[s] : ptr[s + 1]]
-            s = int(ahead[place[ahead] == p][0])
-        out[t] = s
+    lift(graph.edge_ptr, graph.edge_to, graph.state_place, graph.stopped, start, places, out)
     return out

@@ -1,9 +1,10 @@
-"""What time and energy CBS share: the searched graph, workspaces that grow and are used again, the run to the answer."""
+"""What time and energy CBS share: the searched graph, workspaces that grow and are used again, the run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from engine.planners.kernels import cbs_high as high
 from engine.planners.kernels import cbs_low as low
+from engine.planners.kernels.tables import FAR
 from engine.planners.oneshot import Limits, Problem, Solution
 from engine.types import Component, PlanStatus
 from engine.world.motion_graph import MotionGraph
@@ -31,7 +33,6 @@ class Settings:
     bypass: bool = True
     cover: int = 0
     target: bool = True
-    corridor: bool = False
     branch: bool = False
     tries: int = 4
     w: float = 1.0
@@ -42,8 +43,7 @@ class Settings:
         out = np.zeros(16, np.int64)
         out[high.DISJOINT], out[high.CARDINAL] = self.disjoint, self.cardinal
         out[high.BYPASS], out[high.COVER] = self.bypass, self.cover
-        out[high.TARGET], out[high.CORRIDOR] = self.target, self.corridor
-        out[high.BRANCH], out[high.TRIES] = self.branch, self.tries
+        out[high.TARGET], out[high.BRANCH], out[high.TRIES] = self.target, self.branch, self.tries
         out[high.W_MILLION] = round(self.w * MILLION)
         return out
 
@@ -160,7 +160,7 @@ class _Room:
 
         heap, pairs = 3 * nodes + 64, 1 << 14
         return high.Tree(
-            i32(nodes), i32(nodes), np.zeros(nodes, np.int8), i32(nodes), i32(nodes), i32(nodes), i32(nodes), i64(nodes),
+            i32(nodes), i32(nodes), np.zeros(nodes, np.int8), i32(nodes), i32(nodes), i32(nodes), i64(nodes),
             i64(nodes), i64(nodes), np.zeros(nodes, np.int8), i32(nodes), np.zeros(nodes, np.int8),
             np.zeros(nodes), np.zeros(nodes), np.zeros((nodes, self.n), np.int32), i64(recs), i32(recs), i64(recs),
             i64(recs), i32(recs), i32(recs), np.zeros(recs, np.int8), i32(arena), np.zeros(arena, np.int8), i32(self.n),
@@ -263,26 +263,29 @@ def _mass(problem: Problem) -> NDArray[np.float64]:
     return rolling / most if most > 0 else np.ones(len(rolling))
 
 
+@cache
+def _shuffles(n: int, tries: int) -> I32:
+    rng = np.random.default_rng(2025)
+    return np.array([rng.permutation(n) for _ in range(tries)], np.int32).reshape(tries, n)
+
+
 def orders_of(h0: I64, tries: int) -> I32:
     """Orders for the incumbent: longest way first, shortest first, then seeded shuffles."""
-    n = len(h0)
-    rng = np.random.default_rng(2025)
-    out = [np.argsort(-h0, kind="stable"), np.argsort(h0, kind="stable")]
-    out += [rng.permutation(n) for _ in range(tries - 2)]
-    return np.array(out[:tries], np.int32).reshape(tries, n)
+    first = np.argsort(h0, kind="stable").astype(np.int32)
+    return np.concatenate([first[None, ::-1], first[None], _shuffles(len(h0), max(tries - 2, 0))])[:tries]
 
 
 def solve_tree(
     problem: Problem, limits: Limits, settings: Settings, *, energy: bool, trace: bool
-) -> tuple[Solution, low.Roads, list[I32]]:
-    """Run the tree. The solution has no states yet: they are the third value, in states of the second."""
+) -> tuple[Solution, bool, list[I32]]:
+    """Run the tree. The solution has no states yet: they are the third value, as places where the
+    second is true."""
     n = len(problem.starts)
-    empty = low.Roads(*[np.zeros(0, np.int32)] * 13)
     note = _refused(problem)
     if note:
-        return Solution(PlanStatus.INCONSISTENT, (), 0, 0, 0, 0, note), empty, []
+        return Solution(PlanStatus.INCONSISTENT, (), 0, 0, 0, 0, note), False, []
     if n == 0:
-        return Solution(PlanStatus.SOLVED, (), 0, 0, 0, 0), empty, []
+        return Solution(PlanStatus.SOLVED, (), 0, 0, 0, 0), False, []
     graph = problem.graph
     roads = energy_roads(problem) if energy else kept_time_roads(graph)
     room = _room((graph if energy else roads), roads, n)
@@ -294,9 +297,9 @@ def solve_tree(
     for k in range(n):
         low.fill_cost_to_goal(roads, cls[k], goals[k], problem.blocked, room.h[k], room.keys, room.items)
     h0 = room.h[np.arange(n), starts]
-    if (h0 >= low.FAR).any():
-        k = int(np.argmax(h0 >= low.FAR))
-        return Solution(PlanStatus.NO_PATH, (), 0, 0, 0, 0, f"vehicle {k} has no way to its goal"), roads, []
+    if (h0 >= FAR).any():
+        k = int(np.argmax(h0 >= FAR))
+        return Solution(PlanStatus.NO_PATH, (), 0, 0, 0, 0, f"vehicle {k} has no way to its goal"), on_places, []
     case = high.Case(
         starts, goals, cls, room.h, _mass(problem), np.array(settings.weights), orders_of(h0, settings.tries)
     )  # fmt: skip
@@ -319,7 +322,7 @@ def solve_tree(
             break
         if num[high.HIGH] >= limits.nodes or num[high.LOW] >= limits.expansions or limits.stop():
             break
-    return _answer(room, settings, ended, trace), roads, _ways(room)
+    return _answer(room, settings, ended, energy, trace), on_places, _ways(room)
 
 
 def _ways(room: _Room) -> list[I32]:
@@ -330,7 +333,7 @@ def _ways(room: _Room) -> list[I32]:
     return [t.states[i : i + k + 1].copy() for i, k in zip(first, length, strict=True)]
 
 
-def _answer(room: _Room, settings: Settings, ended: int, trace: bool) -> Solution:
+def _answer(room: _Room, settings: Settings, ended: int, energy: bool, trace: bool) -> Solution:
     num = room.tree.num
     found = bool(num[high.BEST])
     bound = int(room.tree.low[0] if settings.branch else num[high.BOUND])
@@ -345,12 +348,12 @@ def _answer(room: _Room, settings: Settings, ended: int, trace: bool) -> Solutio
         status = PlanStatus.SOLVED if cost == bound else PlanStatus.BOUNDED
     else:
         status = PlanStatus.BUDGET_SPENT
-    columns = {"tree": tree_columns(room)} if trace else {}
+    columns = {"tree": tree_columns(room, energy)} if trace else {}
     return Solution(status, (), cost, bound, int(num[high.HIGH]), int(num[high.LOW]), note, columns)
 
 
-def tree_columns(room: _Room) -> Mapping[str, NDArray[Any]]:
-    """The constraint tree, a row per node."""
+def tree_columns(room: _Room, energy: bool) -> Mapping[str, NDArray[Any]]:
+    """The constraint tree, a row per node. energy: mJ, or -1 where the tree counts ticks."""
     t, n = room.tree, int(room.tree.num[high.NODES])
     return {
         "node": np.arange(n, dtype=np.int32),
@@ -362,6 +365,7 @@ def tree_columns(room: _Room) -> Mapping[str, NDArray[Any]]:
         "tick": t.tick[:n].copy(),
         "positive": np.isin(t.kind[:n], (high.AT, high.OVER, high.BY_THEN)),
         "cost": t.cost[:n].copy(),
+        "energy": t.cost[:n].copy() if energy else np.full(n, -1, np.int64),
         "n_conflicts": t.conflicts[:n].copy(),
         "dp_low": t.dp_low[:n].copy(),
         "dp_high": t.dp_high[:n].copy(),

@@ -43,16 +43,15 @@ from engine.planners.kernels.cbs_low import (
     slot_at,
 )
 from engine.planners.kernels.heap import drop_first, push
-from engine.types import FOREVER
 
 F64 = NDArray[np.float64]
 I8 = NDArray[np.int8]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
-ROOT, NOT_AT, NOT_OVER, AT, OVER, LATER, BY_THEN, NOT_DURING = range(8)
+ROOT, NOT_AT, NOT_OVER, AT, OVER, LATER, BY_THEN = range(7)
 """Constraints: not at a place at a tick · not over a motion · at it · over it (both forbid it to all others) · arrive
-for good later than a tick · by then (all others stay off that goal from then on) · not at a place during ticks."""
+for good later than a tick · by then (all others stay off that goal from then on)."""
 
 OPEN, CHOSEN, PRUNED = 0, 1, 2
 """What became of a node."""
@@ -60,13 +59,13 @@ OPEN, CHOSEN, PRUNED = 0, 1, 2
 DONE, MORE, GROW, EMPTY = 0, 1, 2, 3
 """How a run of the loop ended: plan found or bound met · chunk of work over · room needed · nothing left."""
 
-DISJOINT, CARDINAL, BYPASS, COVER, TARGET, BRANCH, W_MILLION, TRIES, CORRIDOR = range(9)
+DISJOINT, CARDINAL, BYPASS, COVER, TARGET, BRANCH, W_MILLION, TRIES = range(8)
 """Slots of the options: switches; COVER 0 none, 1 CG, 2 DG, 3 WDG; w in millionths; prioritized orders to try."""
 
 (
-    NODES, RECS, ARENA, BEST, BEST_COST, HEAP, FOCAL, WAITING, HIGH, LOW, BOUND, STAGE, LIVE, LONGEST, PAIRS, PAIR_STAMP,
+    NODES, RECS, ARENA, BEST, BEST_COST, HEAP, FOCAL, WAITING, HIGH, LOW, BOUND, STAGE, LONGEST, PAIRS, PAIR_STAMP,
     TRIED,
-) = range(17)  # fmt: skip
+) = range(16)  # fmt: skip
 """Slots of Tree.num: counts, incumbent (1: there is one) and its cost, heap sizes, expansions, proven bound …"""
 
 NEVER = np.int64(2**62)
@@ -93,7 +92,6 @@ class Tree(NamedTuple):
     place: I32
     place2: I32
     tick: I32
-    tick2: I32
     cost: I64
     low: I64
     h: I64
@@ -136,7 +134,7 @@ class Desk(NamedTuple):
     place: I32
     place2: I32  # -1: both at `place`; else a goes place → place2 and b back
     tick: I32
-    count: I64
+    found: I64
     met: I32  # (n,) conflicts of each vehicle
     out: I64
     weight: I64  # (n, n) dependency graph
@@ -170,7 +168,8 @@ def load_constraints(r: Roads, w: Work, c: Case, t: Tree, node: int, agent: int)
     wait = r.wait[c.cls[agent]]
     ok = True
     while node > 0:
-        kind, who, p, q, tick = t.kind[node], t.agent[node], t.place[node], t.place2[node], t.tick[node]
+        kind, who = np.int64(t.kind[node]), np.int64(t.agent[node])
+        p, q, tick = np.int64(t.place[node]), np.int64(t.place2[node]), np.int64(t.tick[node])
         if who == agent:
             if kind == NOT_AT:
                 forbid_place(r, w, p, tick, goal)
@@ -188,9 +187,6 @@ def load_constraints(r: Roads, w: Work, c: Case, t: Tree, node: int, agent: int)
             elif kind == BY_THEN:
                 w.con[BY] = min(w.con[BY], tick)
                 w.con[LAST] = max(w.con[LAST], tick)
-            elif kind == NOT_DURING:
-                for at in range(tick, t.tick2[node] + 1):
-                    forbid_place(r, w, p, at, goal)
         elif kind == AT:
             forbid_place(r, w, p, tick, goal)
         elif kind == OVER:
@@ -201,7 +197,7 @@ def load_constraints(r: Roads, w: Work, c: Case, t: Tree, node: int, agent: int)
             if c.goal[who] == goal:
                 ok = False
             close_place(w, c.goal[who], tick)
-        node = t.parent[node]
+        node = np.int64(t.parent[node])  # type: ignore[assignment]
     finish_constraints(w)
     return ok
 
@@ -223,11 +219,10 @@ def _keep_way(t: Tree, w: Work, agent: int, node: int, out: I64, least: int) -> 
 
 
 @njit(cache=True, nogil=True)
-def _replan(r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, agent: int, most: int, wide: int, known: int) -> int:
-    """New way of a vehicle under a node's constraints, meeting the node's other ways seldom; t.rec is updated.
-
-    known: vehicles that have a way so far (at the root), else -1.
-    """
+def _replan(
+    r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, agent: int, most: int, wide: int
+) -> int:  # fmt: skip
+    """New way of a vehicle under a node's constraints, meeting the node's other ways seldom; t.rec is updated."""
     if not load_constraints(r, w, c, t, node, agent):
         return NONE
     clear_others(w)
@@ -236,27 +231,25 @@ def _replan(r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, agent: int,
         if k != agent and t.rec[node, k] >= 0:
             rec = t.rec[node, k]
             add_other(r, w, t.states, t.rec_first[rec], t.rec_len[rec])
-    d.out[2] = 0
-    ended = search(
-        r, w, c.h[agent], c.cls[agent], c.start[agent], c.goal[agent], TIES, most, most_expansions(), d.out
-    )
-    t.num[LOW] += d.out[2]
-    if ended != FOUND:
-        return ended
-    least = d.out[0]
-    if wide > 1_000_000:
+    least = np.int64(0)
+    mode, bound, limit = TIES, np.int64(most), most_expansions()
+    tries = 3 if wide > 1_000_000 else 1
+    for turn in range(tries):
         d.out[2] = 0
-        bound = np.int64(least * (wide / 1e6))
-        again = search(
-            r, w, c.h[agent], c.cls[agent], c.start[agent], c.goal[agent], FEW, min(bound, most), 20_000, d.out
-        )
+        ended = search(
+            r, w, c.h[agent], np.int64(c.cls[agent]), np.int64(c.start[agent]), np.int64(c.goal[agent]), mode, bound,
+            limit, d.out,
+        )  # fmt: skip
         t.num[LOW] += d.out[2]
-        if again != FOUND:  # the cheapest one again: w.path may be spoilt
-            again = search(
-                r, w, c.h[agent], c.cls[agent], c.start[agent], c.goal[agent], TIES, most, most_expansions(), d.out
-            )
-            if again != FOUND:
-                return again
+        if turn == 0:
+            if ended != FOUND:
+                return ended
+            least = d.out[0]
+            mode, bound, limit = FEW, min(np.int64(least * (wide / 1e6)), most), np.int64(20_000)  # type: ignore[assignment]
+        elif ended == FOUND:
+            break
+        else:  # the cheapest one again: w.path may be spoilt
+            mode, bound, limit = TIES, np.int64(most), most_expansions()
     rec = _keep_way(t, w, agent, node, d.out, least)
     if rec < 0:
         return FULL
@@ -319,7 +312,7 @@ def find_conflicts(r: Roads, t: Tree, d: Desk, recs: I32) -> int:
                             count += 1
                         d.met[j] += 1
                         d.met[k] += 1
-    d.count[0] = count
+    d.found[0] = count
     return count
 
 
@@ -329,12 +322,13 @@ def _know_single(r: Roads, w: Work, c: Case, t: Tree, m: Layers, rec: int) -> No
     if t.rec_wide[rec]:
         return
     t.rec_wide[rec] = 1
-    agent = t.rec_agent[rec]
-    first, length = t.rec_first[rec], t.rec_len[rec]
-    load_constraints(r, w, c, t, t.rec_node[rec], agent)
+    agent = np.int64(t.rec_agent[rec])
+    first, length = t.rec_first[rec], np.int64(t.rec_len[rec])
+    load_constraints(r, w, c, t, np.int64(t.rec_node[rec]), agent)
     if t.rec_cost[rec] == t.rec_min[rec] and build_layers(
-        r, w, m, c.h[agent], c.cls[agent], c.start[agent], c.goal[agent], t.rec_cost[rec], True
-    ):
+        r, w, m, c.h[agent], np.int64(c.cls[agent]), np.int64(c.start[agent]), np.int64(c.goal[agent]), t.rec_cost[rec],
+        True,
+    ):  # fmt: skip
         mark_single(r, m, c.goal[agent], t.single, first, length)
     else:
         for k in range(length + 1):
@@ -351,10 +345,10 @@ def _single(t: Tree, rec: int, tick: int) -> int:
 @njit(cache=True, nogil=True)
 def _cardinal(r: Roads, w: Work, c: Case, t: Tree, d: Desk, m: Layers, node: int, k: int) -> int:
     """How many of the two vehicles of a conflict can't avoid it at their present cost."""
-    ra, rb = t.rec[node, d.a[k]], t.rec[node, d.b[k]]
+    ra, rb = np.int64(t.rec[node, d.a[k]]), np.int64(t.rec[node, d.b[k]])
     _know_single(r, w, c, t, m, ra)
     _know_single(r, w, c, t, m, rb)
-    tick = d.tick[k]
+    tick = np.int64(d.tick[k])
     one, two = _single(t, ra, tick), _single(t, rb, tick)
     if d.place2[k] >= 0:
         one &= _single(t, ra, tick + 1)
@@ -444,21 +438,23 @@ def _dependency(
         if t.pair_key[at] == key:
             return t.pair_value[at]
         at = (at + 1) & mask
-    a, b = t.rec_agent[ra], t.rec_agent[rb]
+    a, b = np.int64(t.rec_agent[ra]), np.int64(t.rec_agent[rb])
     value = 0
     for extra in range(deepest):
         free = 0
         for one in range(extra + 1):
-            load_constraints(r, w, c, t, t.rec_node[ra], a)
+            load_constraints(r, w, c, t, np.int64(t.rec_node[ra]), a)
             if not build_layers(
-                r, w, x, c.h[a], c.cls[a], c.start[a], c.goal[a], t.rec_min[ra] + one, extra == 0
-            ):
+                r, w, x, c.h[a], np.int64(c.cls[a]), np.int64(c.start[a]), np.int64(c.goal[a]), t.rec_min[ra] + one,
+                extra == 0,
+            ):  # fmt: skip
                 free = -1
                 break
-            load_constraints(r, w, c, t, t.rec_node[rb], b)
+            load_constraints(r, w, c, t, np.int64(t.rec_node[rb]), b)
             if not build_layers(
-                r, w, y, c.h[b], c.cls[b], c.start[b], c.goal[b], t.rec_min[rb] + extra - one, extra == 0
-            ):
+                r, w, y, c.h[b], np.int64(c.cls[b]), np.int64(c.start[b]), np.int64(c.goal[b]),
+                t.rec_min[rb] + extra - one, extra == 0,
+            ):  # fmt: skip
                 free = -1
                 break
             free = _joint(r, d, x, y, c.goal[a], c.goal[b])
@@ -514,7 +510,7 @@ def weighted_cover(weight: I64, mark: I32, value: I64, stack: I32) -> int:
                 break
             stack[n + bi] = stack[n + bj] = 1
             bound += best
-        best = NEVER
+        best = NEVER  # type: ignore[assignment]
         k, spent, steps = 0, 0, 0
         value[0] = -1
         complete = True
@@ -554,14 +550,12 @@ def weighted_cover(weight: I64, mark: I32, value: I64, stack: I32) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _cover_bound(
-    r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, how: int
-) -> int:
+def _cover_bound(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, how: int) -> int:
     """Lower bound of the extra cost that a node's conflicts force (unit costs)."""
     n = len(c.start)
     d.weight[:] = 0
-    for k in range(d.count[0]):
-        a, b = d.a[k], d.b[k]
+    for k in range(d.found[0]):
+        a, b = np.int64(d.a[k]), np.int64(d.b[k])
         if d.weight[a, b] != 0:
             continue
         if how == 1:
@@ -569,13 +563,13 @@ def _cover_bound(
                 continue
             value = 1
         else:
-            value = _dependency(r, w, c, t, d, x, y, t.rec[node, a], t.rec[node, b], 1 if how == 2 else 4)
-        if value == 0:
-            value = -1  # seen
-        d.weight[a, b] = d.weight[b, a] = value
-    for a in range(n):
-        for b in range(n):
-            d.weight[a, b] = max(d.weight[a, b], 0)
+            value = _dependency(
+                r, w, c, t, d, x, y, np.int64(t.rec[node, a]), np.int64(t.rec[node, b]), 1 if how == 2 else 4
+            )
+        d.weight[a, b] = d.weight[b, a] = value if value > 0 else -1  # -1: seen
+    for i in range(n):
+        for j in range(n):
+            d.weight[i, j] = max(d.weight[i, j], 0)
     return weighted_cover(d.weight, d.mark, d.value, d.stack)
 
 
@@ -600,7 +594,7 @@ def _choose(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, node: int, 
     if opt[CARDINAL] == 0:
         return 0
     best, best_rank = 0, -1
-    for k in range(d.count[0]):
+    for k in range(d.found[0]):
         rank = _cardinal(r, w, c, t, d, x, node, k)
         if rank > best_rank:
             best, best_rank = k, rank
@@ -612,8 +606,9 @@ def _choose(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, node: int, 
 @njit(cache=True, nogil=True)
 def _breaks(r: Roads, c: Case, t: Tree, node: int, agent: int) -> bool:
     """Whether a vehicle's present way breaks the node's own constraint."""
-    kind, who, p, q, tick = t.kind[node], t.agent[node], t.place[node], t.place2[node], t.tick[node]
-    rec = t.rec[node, agent]
+    kind, who = np.int64(t.kind[node]), np.int64(t.agent[node])
+    p, q, tick = np.int64(t.place[node]), np.int64(t.place2[node]), np.int64(t.tick[node])
+    rec = np.int64(t.rec[node, agent])
     if who == agent:
         if kind == NOT_AT:
             return _place_at(r, t, rec, tick) == p
@@ -623,11 +618,6 @@ def _breaks(r: Roads, c: Case, t: Tree, node: int, agent: int) -> bool:
             return t.rec_len[rec] <= tick
         if kind == BY_THEN:
             return t.rec_len[rec] > tick
-        if kind == NOT_DURING:
-            for at in range(tick, t.tick2[node] + 1):
-                if _place_at(r, t, rec, at) == p:
-                    return True
-            return False
         return False  # AT, OVER: chosen from its own way
     if kind == AT:
         return _place_at(r, t, rec, tick) == p
@@ -654,12 +644,14 @@ def _push_open(c: Case, t: Tree, node: int, opt: I64) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _new_child(r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, opt: I64, agent: int, kind: int, p: int, q: int, tick: int, tick2: int) -> int:  # fmt: skip
+def _new_child(
+    r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, opt: I64, agent: int, kind: int, p: int, q: int, tick: int
+) -> int:  # fmt: skip
     """A child with one more constraint, its ways replanned. Returns its number, -1 without a plan, -2 for no room."""
-    child = t.num[NODES]
+    child = np.int64(t.num[NODES])
     n = len(c.start)
     t.parent[child], t.agent[child], t.kind[child] = node, agent, kind
-    t.place[child], t.place2[child], t.tick[child], t.tick2[child] = p, q, tick, tick2
+    t.place[child], t.place2[child], t.tick[child] = p, q, tick
     t.cost[child], t.low[child] = t.cost[node], t.low[node]
     t.knows[child], t.status[child], t.h[child] = 0, OPEN, 0
     for k in range(n):
@@ -669,7 +661,7 @@ def _new_child(r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, opt: I64
         if _breaks(r, c, t, child, who):
             old = t.rec[child, who]
             most = t.num[BEST_COST] - 1 - (t.low[child] - t.rec_min[old])
-            ended = _replan(r, w, c, t, d, child, who, most, opt[W_MILLION], -1)
+            ended = _replan(r, w, c, t, d, child, who, most, opt[W_MILLION])
             if ended == FULL:
                 return -2
             if ended != FOUND:
@@ -712,7 +704,8 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
                 _push_open(c, t, node, opt)
                 return FOUND
         k = _choose(r, w, c, t, d, x, node, opt)
-        a, b, p, q, tick = d.a[k], d.b[k], d.place[k], d.place2[k], d.tick[k]
+        a, b = np.int64(d.a[k]), np.int64(d.b[k])
+        p, q, tick = np.int64(d.place[k]), np.int64(d.place2[k]), np.int64(d.tick[k])
         low, high = _priority(c, t, d, node, a, tick), _priority(c, t, d, node, b, tick)
         if high < low:
             a, b = b, a
@@ -722,7 +715,7 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
         # now `a` has the lower priority and is constrained first; it goes p → q
         t.dp_low[node], t.dp_high[node] = low, high
         nodes, recs, arena = t.num[NODES], t.num[RECS], t.num[ARENA]
-        resting = -1
+        resting = np.int64(-1)
         if q < 0 and opt[TARGET] == 1 and opt[BRANCH] == 0:
             if tick >= t.rec_len[t.rec[node, a]]:
                 resting = a
@@ -733,18 +726,18 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
         for turn in range(1 if opt[BRANCH] == 1 else 2):
             if resting >= 0:
                 kid = _new_child(
-                    r, w, c, t, d, node, opt, resting, LATER if turn == 0 else BY_THEN, p, -1, tick, tick
+                    r, w, c, t, d, node, opt, resting, LATER if turn == 0 else BY_THEN, p, -1, tick
                 )  # fmt: skip
             elif q < 0:
                 who = a if turn == 0 or opt[DISJOINT] == 1 else b
                 kind = AT if turn == 1 and opt[DISJOINT] == 1 else NOT_AT
-                kid = _new_child(r, w, c, t, d, node, opt, who, kind, p, -1, tick, tick)
+                kid = _new_child(r, w, c, t, d, node, opt, who, kind, p, -1, tick)
             elif opt[DISJOINT] == 1:
-                kid = _new_child(r, w, c, t, d, node, opt, a, OVER if turn == 1 else NOT_OVER, p, q, tick, tick)
+                kid = _new_child(r, w, c, t, d, node, opt, a, OVER if turn == 1 else NOT_OVER, p, q, tick)
             elif turn == 0:
-                kid = _new_child(r, w, c, t, d, node, opt, a, NOT_OVER, p, q, tick, tick)
+                kid = _new_child(r, w, c, t, d, node, opt, a, NOT_OVER, p, q, tick)
             else:
-                kid = _new_child(r, w, c, t, d, node, opt, b, NOT_OVER, q, p, tick, tick)
+                kid = _new_child(r, w, c, t, d, node, opt, b, NOT_OVER, q, p, tick)
             if kid == -2:
                 t.num[NODES], t.num[RECS], t.num[ARENA] = nodes, recs, arena
                 return FULL
@@ -754,13 +747,18 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
                     one = kid
                 else:
                     two = kid
-        own = d.count[0]
+        own = d.found[0]
         swapped = False
         for kid in (one, two):
             if kid < 0:
                 continue
             t.conflicts[kid] = find_conflicts(r, t, d, t.rec[kid])
-            if opt[BYPASS] == 1 and t.cost[kid] == t.cost[node] and t.low[kid] == t.low[node] and t.conflicts[kid] < own:
+            if (
+                opt[BYPASS] == 1
+                and t.cost[kid] == t.cost[node]
+                and t.low[kid] == t.low[node]
+                and t.conflicts[kid] < own
+            ):
                 for j in range(len(c.start)):
                     rec = t.rec[kid, j]
                     if rec != t.rec[node, j]:
@@ -802,8 +800,9 @@ def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32) -> int
     for k in order:
         d.out[2] = 0
         ended = search(
-            r, w, c.h[k], c.cls[k], c.start[k], c.goal[k], HARD, t.num[BEST_COST] - 1 - total, 1_000_000, d.out
-        )
+            r, w, c.h[k], np.int64(c.cls[k]), np.int64(c.start[k]), np.int64(c.goal[k]), HARD,
+            t.num[BEST_COST] - 1 - total, np.int64(1_000_000), d.out,
+        )  # fmt: skip
         t.num[LOW] += d.out[2]
         if ended == FULL:
             t.num[RECS], t.num[ARENA] = recs, arena
@@ -837,12 +836,13 @@ def run(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt:
     if t.num[STAGE] == 0:
         # the root: every vehicle for itself
         t.num[RECS], t.num[ARENA], t.num[NODES] = 0, 0, 0
-        t.parent[0], t.agent[0], t.kind[0], t.place[0], t.place2[0], t.tick[0], t.tick2[0] = -1, -1, ROOT, -1, -1, -1, -1
+        t.parent[0], t.agent[0], t.kind[0] = -1, -1, ROOT
+        t.place[0], t.place2[0], t.tick[0] = -1, -1, -1
         t.cost[0], t.low[0], t.h[0], t.knows[0], t.status[0] = 0, 0, 0, 0, OPEN
         for k in range(n):
             t.rec[0, k] = -1
         for k in range(n):
-            ended = _replan(r, w, c, t, d, 0, k, NEVER, opt[W_MILLION], k)
+            ended = _replan(r, w, c, t, d, np.int64(0), k, NEVER, opt[W_MILLION])
             if ended == FULL:
                 return GROW
             if ended != FOUND:
@@ -869,7 +869,7 @@ def run(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt:
     while True:
         # drop what is done or can't improve
         while t.num[HEAP] > 0:
-            top = t.open_item[0]
+            top = np.int64(t.open_item[0])
             f = t.open_key[0] >> 10
             if t.status[top] != OPEN or f != t.low[top] + t.h[top]:
                 t.num[HEAP] = drop_first(t.open_key, t.open_item, t.num[HEAP])
@@ -897,7 +897,7 @@ def run(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt:
             or t.num[LONGEST] * 2 + 16 >= w.others_len[1]
         ):
             return GROW
-        node = -1
+        node = np.int64(-1)
         if wide > 1_000_000:
             while t.num[WAITING] > 0 and t.wait_key[0] * 1_000_000 <= t.num[BOUND] * wide:
                 kid = t.wait_item[0]
@@ -908,9 +908,9 @@ def run(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt:
             while t.num[FOCAL] > 0 and t.status[t.focal_item[0]] != OPEN:
                 t.num[FOCAL] = drop_first(t.focal_key, t.focal_item, t.num[FOCAL])
             if t.num[FOCAL] > 0:
-                node = t.focal_item[0]
+                node = np.int64(t.focal_item[0])
         if node < 0:
-            node = t.open_item[0]
+            node = np.int64(t.open_item[0])
         knew = t.knows[node]
         before = t.low[node] + t.h[node]
         if _expand(r, w, c, t, d, x, y, node, opt) == FULL:

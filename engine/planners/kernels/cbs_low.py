@@ -28,9 +28,10 @@ FOUND, NONE, FULL, SPENT = 0, 1, 2, 3
 TIES, HARD, FEW = 0, 1, 2
 """The others' ways break ties; are obstacles; are met as seldom as the cost bound allows."""
 
-LAST, FREE_FROM, BY, MARKS, BASE, STAMP, CLOSED = range(7)
+LAST, FREE_FROM, BY, MARKS, BASE, STAMP, CLOSED, BASE_AT = range(8)
 """Slots of Work.con: last tick at which a constraint acts · earliest tick of the last arrival · latest · number of
-landmarks · cost that landmarks prove, counted from tick 0 · current stamp · 1 with places closed for good."""
+landmarks · cost that the last one proves until its tick, counted from tick 0 · current stamp · 1 with places closed
+for good · that tick."""
 
 
 class Roads(NamedTuple):
@@ -193,6 +194,22 @@ def steps_to(r: Roads, w: Work, place: int) -> int:
     return row
 
 
+@njit(cache=True, nogil=True)
+def lift(ptr: I32, to: I32, place: I32, still: I32, start: int, places: I32, out: I32) -> None:
+    """States of a way given by places: the motion that leads there, or standing."""
+    s = start
+    out[0] = s
+    for t in range(1, len(places)):
+        if places[t] == place[s]:
+            s = still[s]
+        else:
+            for e in range(ptr[s], ptr[s + 1]):
+                if place[to[e]] == places[t]:
+                    s = to[e]
+                    break
+        out[t] = s
+
+
 # --- constraints -----------------------------------------------------------------------------------------------------
 
 
@@ -205,6 +222,7 @@ def clear_constraints(w: Work) -> None:
     w.con[BY] = FOREVER
     w.con[MARKS] = 0
     w.con[BASE] = 0
+    w.con[BASE_AT] = 0
     w.con[CLOSED] = 0
 
 
@@ -242,12 +260,11 @@ def forbid_move(r: Roads, w: Work, place: int, place2: int, tick: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _forbidden(w: Work, key: int, bits: int) -> bool:
-    stamp = w.con[STAMP]
+def _forbidden(con_key: I64, con_stamp: I32, stamp: int, key: int, bits: int) -> bool:
     at = slot_at(key, bits)
-    mask = len(w.con_key) - 1
-    while w.con_stamp[at] == stamp:
-        if w.con_key[at] == key:
+    mask = len(con_key) - 1
+    while con_stamp[at] == stamp:
+        if con_key[at] == key:
             return True
         at = (at + 1) & mask
     return False
@@ -276,7 +293,9 @@ def add_landmark(w: Work, place: int, tick: int, goal: int, least: int, wait: in
     w.con[LAST] = max(w.con[LAST], tick)
     if place != goal:
         w.con[FREE_FROM] = max(w.con[FREE_FROM], tick + 1)
-        w.con[BASE] = max(w.con[BASE], tick * wait + least)
+        if tick >= w.con[BASE_AT]:  # past it, a motion may have cost more than its tick
+            w.con[BASE_AT] = tick
+            w.con[BASE] = tick * wait + least
     return True
 
 
@@ -326,17 +345,16 @@ def add_other(r: Roads, w: Work, states: I32, first: int, length: int) -> bool:
     return fits
 
 
-@njit(cache=True, nogil=True)
-def _meets(w: Work, n: int, u: int, v: int, t: int) -> int:
+@njit(cache=True, nogil=True, inline="always")
+def _meets(others, others_next, rest, rest_stamp, stamp, filled, room, n, u, v, t):  # type: ignore[no-untyped-def]
     """How many others one meets going from place u at tick t to place v."""
-    stamp = w.stamp[1]
     met = 0
-    if w.rest_stamp[v] == stamp and w.rest[v] <= t + 1:
+    if rest_stamp[v] == stamp and rest[v] <= t + 1:
         met += 1
-    if t < w.others_len[0]:
-        if t + 1 < w.others_len[1] and w.others[(t + 1) * n + v] == stamp:
+    if t < filled:
+        if t + 1 < room and others[(t + 1) * n + v] == stamp:
             met += 1
-        if u != v and w.others[t * n + v] == stamp and w.others_next[t * n + v] == u:
+        if u != v and others[t * n + v] == stamp and others_next[t * n + v] == u:
             met += 1
     return met
 
@@ -344,28 +362,35 @@ def _meets(w: Work, n: int, u: int, v: int, t: int) -> int:
 # --- search ----------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
-def _allowed(r: Roads, w: Work, n: int, u: int, v: int, t: int, bits: int, to_goal: I32, row: int) -> bool:
+@njit(cache=True, nogil=True, inline="always")
+def _allowed(  # type: ignore[no-untyped-def]
+    con, con_key, con_stamp, con_tick, ahead_tick, ahead_place, row_of, steps, closed, closed_stamp, n, u, v, t, bits,
+    row,
+):  # fmt: skip
     """Whether the constraints let one go from place u to place v, arriving at tick t."""
-    stamp = w.con[STAMP]
-    if t <= w.con[LAST]:
-        if w.con_tick[t] == stamp:
+    stamp = con[STAMP]
+    good = True
+    if t <= con[LAST]:
+        if con_tick[t] == stamp:
             key = np.int64(t) * (n + 1) * n + np.int64(v) * (n + 1)
-            if _forbidden(w, key + n, bits) or (u != v and _forbidden(w, key + u, bits)):
-                return False
-        if w.con[MARKS] > 0 and w.ahead_tick[t] >= 0:
-            place = w.ahead_place[t]
-            gap = w.ahead_tick[t] - t
+            if _forbidden(con_key, con_stamp, stamp, key + n, bits) or (
+                u != v and _forbidden(con_key, con_stamp, stamp, key + u, bits)
+            ):
+                good = False
+        if con[MARKS] > 0 and ahead_tick[t] >= 0:
+            gap = ahead_tick[t] - t
             if gap == 0:
-                if v != place:
-                    return False
+                if v != ahead_place[t]:
+                    good = False
             else:
-                far = w.row_of[place]
-                if far >= 0 and w.steps[far, v] > gap:
-                    return False
-    if w.con[CLOSED] == 1 and w.closed_stamp[v] == stamp and t >= w.closed[v]:
-        return False
-    return not (row >= 0 and t + to_goal[v] > w.con[BY])
+                far = row_of[ahead_place[t]]
+                if far >= 0 and steps[far, v] > gap:
+                    good = False
+    if con[CLOSED] == 1 and closed_stamp[v] == stamp and t >= closed[v]:
+        good = False
+    if row >= 0 and t + steps[row, v] > con[BY]:
+        good = False
+    return good
 
 
 @njit(cache=True, nogil=True)
@@ -379,10 +404,19 @@ def search(
     """
     n = len(r.place_ptr) - 1
     wait = r.wait[cls]
+    con, con_key, con_stamp, con_tick = w.con, w.con_key, w.con_stamp, w.con_tick
+    ahead_tick, ahead_place, row_of, steps = w.ahead_tick, w.ahead_place, w.row_of, w.steps
+    closed, closed_stamp = w.closed, w.closed_stamp
+    others, others_next, rest, rest_stamp = w.others, w.others_next, w.rest, w.rest_stamp
+    they, filled, ticks = w.stamp[1], w.others_len[0], w.others_len[1]
+    ptr, to, kind, place, still = r.ptr, r.to, r.kind, r.place, r.still
+    cost = r.cost[cls]
+    state, tick, gs, mets, parent, keys, items = w.state, w.tick, w.g, w.met, w.parent, w.keys, w.items
+    slot_key, slot_node, slot_stamp = w.slot_key, w.slot_node, w.slot_stamp
     stop = w.con[LAST]
     if mode != TIES:
         stop = max(stop, w.others_len[0])
-    free_from, by, base = w.con[FREE_FROM], w.con[BY], w.con[BASE]
+    free_from, by, base, base_at = w.con[FREE_FROM], w.con[BY], w.con[BASE], w.con[BASE_AT]
     goal_stamp = w.stamp[1]
     if mode == HARD:
         if w.rest_stamp[goal] == goal_stamp:
@@ -396,93 +430,130 @@ def search(
     row = -1
     if by < FOREVER:
         row = steps_to(r, w, goal)
-    to_goal = w.steps[max(row, 0)]
     if w.con[MARKS] > 0:
         for t in range(w.con[LAST] + 1):
             if w.must_stamp[t] == w.con[STAMP]:
                 steps_to(r, w, w.must[t])
     con_bits = bits_of(len(w.con_key))
-    bits = bits_of(len(w.slot_key))
-    mask = len(w.slot_key) - 1
+    bits = bits_of(len(slot_key))
+    mask = len(slot_key) - 1
     w.stamp[0] += 1
     stamp = w.stamp[0]
-    room = min(len(w.state), len(w.slot_key) >> 1) - 16
-    f = max(h[start], max(free_from * wait, base))
-    if f >= FAR or f > bound or not _allowed(r, w, n, r.place[start], r.place[start], 0, con_bits, to_goal, row):
+    room = min(len(state), len(slot_key) >> 1) - 16
+    f = max(h[start], free_from * wait, base)
+    if (
+        f >= FAR
+        or f > bound
+        or not _allowed(
+            con,
+            con_key,
+            con_stamp,
+            con_tick,
+            ahead_tick,
+            ahead_place,
+            row_of,
+            steps,
+            closed,
+            closed_stamp,
+            n,
+            place[start],
+            place[start],
+            0,
+            con_bits,
+            row,
+        )
+    ):
         return NONE
-    w.state[0], w.tick[0], w.g[0], w.met[0], w.parent[0] = start, 0, 0, 0, -1
+    state[0], tick[0], gs[0], mets[0], parent[0] = start, 0, 0, 0, -1
     count, size, done = 1, 0, 0
-    size = push(w.keys, w.items, size, 0, 0)
+    size = push(keys, items, size, 0, 0)
     key = np.int64(start) * (stop + 1)
     at = slot_at(key, bits)
-    w.slot_stamp[at], w.slot_key[at], w.slot_node[at] = stamp, key, 0
+    slot_stamp[at], slot_key[at], slot_node[at] = stamp, key, 0
     while size > 0:
-        node = w.items[0]
-        size = drop_first(w.keys, w.items, size)
-        s, t, g, met = w.state[node], w.tick[node], w.g[node], w.met[node]
-        u = r.place[s]
+        node = items[0]
+        size = drop_first(keys, items, size)
+        s, t, g, met = state[node], tick[node], gs[node], mets[node]
+        u = place[s]
         if u == goal and t >= free_from and t <= by:
             out[0], out[1] = g, t
             out[2] += done
             k = node
             while k >= 0:
-                w.path[w.tick[k]] = w.state[k]
-                k = w.parent[k]
+                w.path[tick[k]] = state[k]
+                k = parent[k]
             return FOUND
         key = np.int64(s) * (stop + 1) + min(t, stop)
         at = slot_at(key, bits)
-        while w.slot_key[at] != key or w.slot_stamp[at] != stamp:
+        while slot_key[at] != key or slot_stamp[at] != stamp:
             at = (at + 1) & mask
-        if w.slot_node[at] != node:
+        if slot_node[at] != node:
             continue
         done += 1
         if done > limit:
             out[2] += done
             return SPENT
-        if count + (r.ptr[s + 1] - r.ptr[s]) + 1 > room or size + 64 >= len(w.keys) or t + 2 >= len(w.path):
+        if count + (ptr[s + 1] - ptr[s]) + 1 > room or size + 64 >= len(keys) or t + 2 >= len(w.path):
             out[2] += done
             return FULL
         t2 = t + 1
-        first = r.ptr[s] - 1 if t < stop else r.ptr[s]
-        for e in range(first, r.ptr[s + 1]):
-            if e < r.ptr[s]:
-                s2 = r.still[s]
+        first = ptr[s] - 1 if t < stop else ptr[s]
+        for e in range(first, ptr[s + 1]):
+            if e < ptr[s]:
+                s2 = still[s]
                 g2 = g + wait
             else:
-                s2 = r.to[e]
-                g2 = g + r.cost[cls, r.kind[e]]
+                s2 = to[e]
+                g2 = g + cost[kind[e]]
             if h[s2] >= FAR:
                 continue
-            f = g2 + max(h[s2], max(free_from * wait, base) - t2 * wait)
+            f = g2 + max(h[s2], max(free_from * wait, base if t2 <= base_at else 0) - t2 * wait)
             if f > bound:
                 continue
-            v = r.place[s2]
-            if not _allowed(r, w, n, u, v, t2, con_bits, to_goal, row):
+            v = place[s2]
+            if not _allowed(
+                con,
+                con_key,
+                con_stamp,
+                con_tick,
+                ahead_tick,
+                ahead_place,
+                row_of,
+                steps,
+                closed,
+                closed_stamp,
+                n,
+                u,
+                v,
+                t2,
+                con_bits,
+                row,
+            ):
                 continue
-            more = _meets(w, n, u, v, t)
+            more = _meets(others, others_next, rest, rest_stamp, they, filled, ticks, n, u, v, t)
             if mode == HARD and more > 0:
                 continue
             met2 = met + more
             key = np.int64(s2) * (stop + 1) + min(t2, stop)
             at = slot_at(key, bits)
-            while w.slot_stamp[at] == stamp and w.slot_key[at] != key:
+            while slot_stamp[at] == stamp and slot_key[at] != key:
                 at = (at + 1) & mask
-            if w.slot_stamp[at] == stamp:
-                old = w.slot_node[at]
+            if slot_stamp[at] == stamp:
+                old = slot_node[at]
                 if mode == FEW:
-                    if w.met[old] < met2 or (w.met[old] == met2 and w.g[old] <= g2):
+                    if mets[old] < met2 or (mets[old] == met2 and gs[old] <= g2):
                         continue
-                elif w.g[old] < g2 or (w.g[old] == g2 and w.met[old] <= met2):
+                elif gs[old] < g2 or (gs[old] == g2 and mets[old] <= met2):
                     continue
-            w.slot_stamp[at], w.slot_key[at], w.slot_node[at] = stamp, key, count
-            w.state[count], w.tick[count], w.g[count], w.met[count], w.parent[count] = s2, t2, g2, met2, node
+            slot_stamp[at], slot_key[at], slot_node[at] = stamp, key, count
+            state[count], tick[count], gs[count], mets[count], parent[count] = s2, t2, g2, met2, node
             late = 4095 - min(t2, 4095)
             few = min(met2, 511)
             if mode == FEW:
                 rank = (np.int64(few) << 53) | (f << 12) | late
             else:
                 rank = (f << 21) | (np.int64(few) << 12) | late
-            size = push(w.keys, w.items, size, rank, count)
+            size = push(keys, items, size, rank, count)
             count += 1
     out[2] += done
     return NONE
@@ -492,17 +563,17 @@ def search(
 
 
 @njit(cache=True, nogil=True)
-def build_layers(
-    r: Roads, w: Work, m: Layers, h: I64, cls: int, start: int, goal: int, cap: int, exact: bool
-) -> bool:
+def build_layers(r: Roads, w: Work, m: Layers, h: I64, cls: int, start: int, goal: int, cap: int, exact: bool) -> bool:
     """Every way within a cost under the loaded constraints. exact: only ways of that very cost. False: no room."""
     n = len(r.place_ptr) - 1
     wait = r.wait[cls]
-    free_from, by, base = w.con[FREE_FROM], w.con[BY], w.con[BASE]
+    con, con_key, con_stamp, con_tick = w.con, w.con_key, w.con_stamp, w.con_tick
+    ahead_tick, ahead_place, row_of, steps = w.ahead_tick, w.ahead_place, w.row_of, w.steps
+    closed, closed_stamp = w.closed, w.closed_stamp
+    free_from, by, base, base_at = w.con[FREE_FROM], w.con[BY], w.con[BASE], w.con[BASE_AT]
     row = -1
     if by < FOREVER:
         row = steps_to(r, w, goal)
-    to_goal = w.steps[max(row, 0)]
     if w.con[MARKS] > 0:
         for t in range(w.con[LAST] + 1):
             if w.must_stamp[t] == w.con[STAMP]:
@@ -533,9 +604,26 @@ def build_layers(
             if h[s2] >= FAR:
                 continue
             g2 = g + c
-            if g2 + max(h[s2], max(free_from * wait, base) - (t + 1) * wait) > cap:
+            if g2 + max(h[s2], max(free_from * wait, base if t < base_at else 0) - (t + 1) * wait) > cap:
                 continue
-            if not _allowed(r, w, n, u, r.place[s2], t + 1, con_bits, to_goal, row):
+            if not _allowed(
+                con,
+                con_key,
+                con_stamp,
+                con_tick,
+                ahead_tick,
+                ahead_place,
+                row_of,
+                steps,
+                closed,
+                closed_stamp,
+                n,
+                u,
+                r.place[s2],
+                t + 1,
+                con_bits,
+                row,
+            ):
                 continue
             key = np.int64(t + 1) * len(r.place) + s2
             at = slot_at(key, bits)
