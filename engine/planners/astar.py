@@ -85,7 +85,7 @@ class AStar:
         kept |= {name: kept[name] * unit for name in ("g", "h", "f") if name in kept}
         if status != single.SOLVED:
             return Way(STATUS[status], np.zeros(0, np.int32), -1, int(out[1]), kept)
-        buffer = np.zeros(places, np.int32)
+        buffer = np.zeros(int(out[0]) * unit // cell + 1, np.int32)
         n = single.way_back(ground.step, best, start, goal, buffer)
         begin = None if heading is None else start * floor.per_place + 2 * heading
         return Way(PlanStatus.SOLVED, floor.along(buffer[:n], begin), int(out[0]) * unit, int(out[1]), kept)
