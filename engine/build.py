@@ -22,6 +22,12 @@ PLANNERS: dict[str, str] = {
     "prioritized": "engine.planners.prioritized:Prioritized",
     "quickest": "engine.planners.quickest:Quickest",
 }
+SOLVERS: dict[str, str] = {
+    "cbs": "engine.planners.cbs:CBS",
+    "ecbs": "engine.planners.ecbs:ECBS",
+    "prioritized": "engine.planners.one_shot_prioritized:OneShotPrioritized",
+    "time-window": "engine.planners.time_window:TimeWindow",
+}
 DISPATCHERS: dict[str, str] = {
     "nearest": "engine.dispatch.nearest:Nearest",
 }
