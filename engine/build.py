@@ -15,6 +15,7 @@ import numpy as np
 from engine.energy import parameter_sets
 from engine.errors import ScenarioError, unknown_name
 from engine.scenario import Scenario, load, parse, start_places
+from engine.types import Occupancy
 from engine.units import MJ_PER_J
 from engine.world import World, build_world
 
@@ -124,6 +125,12 @@ def parts_of(scenario: Scenario) -> Any:
     from engine.sim.simulation import Parts
 
     world = build_world(scenario)
+    if world.occupancy is Occupancy.MAPF and not world.graph.unit:
+        longest = max(world.graph.primitives, key=lambda p: p.ticks)
+        raise ScenarioError(
+            f"floor.occupancy: got 'mapf', which needs motions of one tick, but {longest.name!r} takes {longest.ticks}; "
+            "expected 'hold'"
+        )
     costs = costs_of(scenario, world)
     tick_s = scenario.time.tick_s
     streams = np.random.SeedSequence(scenario.seed).spawn(4)

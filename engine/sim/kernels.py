@@ -278,6 +278,15 @@ def start_motion(
 
 
 @njit(cache=True, nogil=True)
+def cross(f: Fleet, p: Steps, g: GraphArrays, v: int, w: int) -> bool:
+    """True when the next motion of w is the other diagonal of the block over which v drives next."""
+    at, b = g.sweep_ptr[p.edge[v, f.step[v]]], p.edge[w, f.step[w]]
+    here, there = g.state_place[g.edge_from[b]], g.state_place[g.edge_to[b]]
+    x, y = g.sweep[at], g.sweep[at + 1]
+    return (x == here and y == there) or (x == there and y == here)
+
+
+@njit(cache=True, nogil=True)
 def start_steps(
     f: Fleet,
     p: Steps,
@@ -312,6 +321,15 @@ def start_steps(
         while changed:
             changed = False
             for v in range(n):
+                if go[v] != GO:
+                    continue
+                # diagonals planned for different ticks may be due at one when somebody is late
+                e = p.edge[v, f.step[v]]
+                for w in range(v if g.sweep_ptr[e + 1] - g.sweep_ptr[e] == 2 else 0):
+                    if go[w] == GO and cross(f, p, g, v, w):
+                        go[v], wait_for[v] = YIELD, w
+                        changed = True
+                        break
                 if go[v] != GO or wait_for[v] < 0:
                     continue
                 b = wait_for[v]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import random
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import assets
 from engine import MemoryLog, judge, load
 from engine.build import build, replay, resume, swap
 from engine.errors import RunError, ScenarioError
@@ -193,3 +195,12 @@ def test_the_thesis_run_is_done():
     assert sim.metrics()["orders_done"] == 10
     home = sim.graph.state_place[sim.fleet.state]
     assert set(home.tolist()) <= set(sim.world.chargers.tolist())
+
+
+@pytest.mark.parametrize("name", ["demo-ten-orders", "demo-hour-with-breakdowns"])
+def test_the_recorded_demos_come_out_again(name):
+    folder = assets.path("demos", name)
+    passport = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    sim = build(load(folder / "scenario.toml"))
+    sim.advance(passport["ticks"])
+    assert sim.digest() == passport["digest"], "the engine has changed: record the demos anew with `make demos`"

@@ -134,7 +134,7 @@ def test_a_battery_of_31_percent_takes_no_order_that_it_cannot_finish():
     changes = {"energy__demand": "constant", "battery__model": "linear", "charger__rate_percent_per_s": 3.0}
     changes["energy__parameters"] = {"percent_per_s": 2.0}
     asked = scenario(RING, [[1, 2]], vehicles=1, battery__initial_soc=0.31, charging__sufficient=0.9, **changes)
-    sim, log = finished(asked)
+    _, log = finished(asked)
     battery = log.table("battery")
     assert battery["charge_mc"].min() > 0
     # 31 % is above the level at which the thesis charges, and not enough for the way: it charged first
