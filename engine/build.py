@@ -128,8 +128,8 @@ def parts_of(scenario: Scenario) -> Any:
     if world.occupancy is Occupancy.MAPF and not world.graph.unit:
         longest = max(world.graph.primitives, key=lambda p: p.ticks)
         raise ScenarioError(
-            f"floor.occupancy: got 'mapf', which needs motions of one tick, but {longest.name!r} takes {longest.ticks}; "
-            "expected 'hold'"
+            f"floor.occupancy: got 'mapf', which needs motions of one tick, but {longest.name!r} takes "
+            f"{longest.ticks}; expected 'hold'"
         )
     costs = costs_of(scenario, world)
     tick_s = scenario.time.tick_s
