@@ -50,9 +50,10 @@ class FloorView:
         return float(self.charge_mj[vehicle] / self.capacity_mj[vehicle])
 
     def need_mj(self, state: int, goal: int, loaded: bool) -> int:
-        """Energy of the quickest way to a place, with a start for every stop and the load; an estimate from above."""
+        """Energy of the quickest way to a place, with a start and the load; an estimate from above."""
         ticks, mj = self.search.ticks_to(goal, state), self.search.energy_to(goal, state)
-        return int((mj - ticks * self.standby_mj) * (self.heaviest if loaded else 1.0)) + ticks * self.standby_mj
+        driving = (mj - ticks * self.standby_mj) * (self.heaviest if loaded else 1.0)
+        return int(driving) + ticks * self.standby_mj + self.search.restart_mj
 
     def nearest_rest(self, vehicle: int, place: int, chargers_only: bool, count: int = 3) -> list[int]:
         """The nearest free rest places by distance as the crow flies; the vehicle's own counts as free."""

@@ -43,6 +43,7 @@ class Search(Protocol):
     """What a run shares among its deciders: exact costs on the empty floor, and one vehicle's search among all."""
 
     graph: MotionGraph
+    restart_mj: int  # most that a stop and a new start can add to a motion
 
     @property
     def time(self) -> Rows:

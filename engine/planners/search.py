@@ -40,7 +40,7 @@ class FloorSearch:
             int((starts[b] - starts[a]).max())
             for a, b in set(zip(graph.edge_kind.tolist(), twin.tolist(), strict=True))
         ]
-        self._restart = max([0, *extra])
+        self.restart_mj = max([0, *extra])
 
     def ticks_to(self, goal: int, state: int) -> int:
         """Ticks from a state to a place on an empty floor; FAR >> TICK when there is no way."""
@@ -87,7 +87,7 @@ class FloorSearch:
                 calm = settled(view.claims)
                 status = sipp.search_energy(
                     view.claims, ground, self._work, hold, view.margin_ticks, r.state, r.gap, r.tick, goals, stays,
-                    tables.pool, slots, kind_mj, standby, self._restart, calm, budget.expansions, self._out,
+                    tables.pool, slots, kind_mj, standby, self.restart_mj, calm, budget.expansions, self._out,
                 )  # fmt: skip
             if status != sipp.FULL:
                 break

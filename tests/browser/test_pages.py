@@ -29,6 +29,7 @@ def test_navigation_leads_only_to_what_exists(dashboard: Any, page: Page) -> Non
     for link in links.all():
         link.click()
         expect(page.locator(".wl-stage, .wl-catalogue").first).to_be_visible(timeout=20_000)
+        page.wait_for_timeout(1500)  # charts that are still being drawn complain when they are taken away
     expect(page.locator("h1")).to_have_text("Runs")
 
 

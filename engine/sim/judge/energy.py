@@ -118,6 +118,8 @@ def _samples(log: RunLog) -> _Samples | None:
 
 def _sums(r: Record, s: _Samples, cost: I64, graph: MotionGraph) -> I64:
     """Energy of every vehicle's motions up to each sample, (samples, components), from its first interval on."""
+    if r.n == 0:
+        return np.zeros_like(s.ledger)
     at, first = r.before(s.vehicle, s.tick), r.first(s.vehicle)
     known = at >= 0
     part = _part(r, np.maximum(at, 0), cost, graph, s.tick)
