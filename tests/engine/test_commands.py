@@ -247,11 +247,15 @@ def test_a_loaded_vehicle_that_fails_keeps_its_load_and_brings_it_later() -> Non
     fine(sim)
 
 
-def test_an_empty_vehicle_is_repaired_with_a_little_charge() -> None:
+@pytest.mark.parametrize("ahead", [10, 13])  # at the tick of a battery sample, and between two
+def test_an_empty_vehicle_is_repaired_with_a_little_charge(ahead: int) -> None:
     sim = start(1, battery="capacity_wh = 1.0\ninitial_soc = 0.1", fleet='start = "parking"')
     until(sim, lambda: sim.metrics()["stranded"] == 1, 2000)
+    sim.advance(ahead - sim.tick % 10)
     assert tell(sim, "repair", vehicle=0).accepted
     assert sim.fleet.charge[0] == sim.levels.capacity[0] // 10
+    sim.advance(25)
+    fine(sim)
 
 
 def test_a_blocked_cell_is_driven_round_and_free_again_later() -> None:

@@ -219,7 +219,8 @@ def _batteries(s: _Samples, log: RunLog, scenario: Scenario) -> Iterator[Breach]
     off = s.charge - expected
     jump = np.where(s.follows, np.diff(off, prepend=0), 0)
     for vehicle, tick in _battery_changes(log):
-        at = int(np.searchsorted((s.vehicle << 32) + s.tick, (vehicle << 32) + tick, side="left"))
+        # a command given at a tick acts after that tick's sample
+        at = int(np.searchsorted((s.vehicle << 32) + s.tick, (vehicle << 32) + tick, side="right"))
         jump[at : at + 1] = 0
     wrong = (np.abs(jump) > (0 if exact else 1)) | (s.voltage != volt)
     for i in np.nonzero(wrong)[0][:REPORTED].tolist():
