@@ -20,7 +20,7 @@ from engine.world.motion_graph import MotionGraph
 
 @dataclass(frozen=True)
 class Prioritized:
-    """objective: `time` (ties by energy) or `energy` (ties by time)."""
+    """objective: `time` (ties by energy, nearly always the least) or `energy` (ties as they come)."""
 
     objective: str = "time"
 
