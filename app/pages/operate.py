@@ -13,6 +13,7 @@ from app.components.basics import action_button, badge, empty, facts, section
 from app.ids import Operate, Shell, Start
 from app.pages import data
 from app.pages import stage as stage_page
+from app.pages.base import Page
 from app.runs import RunManager
 from engine.errors import WattlaneError
 
@@ -326,3 +327,12 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         app.clientside_callback(
             ClientsideFunction("wattlane", name), Input(button, "n_clicks"), *states, prevent_initial_call=True
         )
+
+
+PAGE = Page(
+    "Operate",
+    "/operate",
+    ("/", "/operate"),
+    lambda manager, settings, path, query: layout(manager, settings, query.get("run")),
+    lambda app, manager, settings: register(app, manager),
+)

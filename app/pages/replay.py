@@ -13,6 +13,7 @@ from app.components.basics import action_button, badge, clock, empty, facts, sec
 from app.ids import Replay, Shell, Stage
 from app.pages import data
 from app.pages import stage as stage_page
+from app.pages.base import Page
 from app.pages.operate import KIND_OF_STATUS, passport
 from app.runs import RunManager
 from engine.errors import WattlaneError
@@ -256,3 +257,16 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         Input(Replay.RERUN_BUTTON, "n_clicks"),
         prevent_initial_call=True,
     )
+
+
+def _page(manager: RunManager, path: str, run_id: str | None) -> html.Div:
+    return layout(manager, run_id) if path == "/replay" and run_id else catalogue_page(manager)
+
+
+PAGE = Page(
+    "Replay",
+    "/runs",
+    ("/runs", "/replay"),
+    lambda manager, settings, path, query: _page(manager, path, query.get("run")),
+    lambda app, manager, settings: register(app, manager),
+)

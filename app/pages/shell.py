@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from functools import cache
+from importlib import import_module
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -12,14 +14,16 @@ from dash import ClientsideFunction, Input, Output, State, dcc, html
 
 from app.components.basics import empty, icon
 from app.ids import Shell
-from app.pages import operate, replay, stage
+from app.pages import stage
+from app.pages.base import Page, Query
 from app.runs import RunManager
 from app.settings import Settings
 from engine.errors import WattlaneError
 
 log = logging.getLogger(__name__)
 
-PAGES: tuple[tuple[str, str], ...] = (("/operate", "Operate"), ("/runs", "Replay"))
+PAGES: tuple[str, ...] = ("app.pages.operate:PAGE", "app.pages.replay:PAGE")
+"""In the order of the top bar; the first is also the start page."""
 
 KEYS: tuple[tuple[str, str], ...] = (
     ("Space", "pause or continue"),
@@ -96,41 +100,51 @@ def layout() -> dmc.MantineProvider:
     )
 
 
-def nav(pathname: str) -> list[Any]:
+@cache
+def pages() -> tuple[Page, ...]:
+    """All pages."""
+    named = (name.partition(":") for name in PAGES)
+    return tuple(getattr(import_module(module), attribute) for module, _, attribute in named)
+
+
+def page_at(path: str) -> Page | None:
+    """The page that answers an address."""
+    return next((page for page in pages() if path in page.paths), None)
+
+
+def nav(path: str) -> list[Any]:
     """The links to the pages, the present one marked."""
-    here = "/runs" if pathname in ("/replay", "/runs") else "/operate"
-    return [dcc.Link(word, href=path, **({"className": "current"} if path == here else {})) for path, word in PAGES]
+    here = page_at(path)
+    return [
+        dcc.Link(page.word, href=page.href, **({"className": "current"} if page is here else {})) for page in pages()
+    ]
 
 
-def run_in(search: str | None) -> str | None:
-    """The run id of a page's query, or None."""
-    return (parse_qs((search or "").lstrip("?")).get("run") or [None])[0]
+def query_of(search: str | None) -> Query:
+    """The first value of every key of an address's query."""
+    return {key: values[0] for key, values in parse_qs((search or "").lstrip("?")).items()}
 
 
-def page(manager: RunManager, settings: Settings, pathname: str, search: str | None) -> Any:
+def content(manager: RunManager, settings: Settings, path: str, query: Query) -> Any:
     """The page of an address; what goes wrong becomes a sentence on the page."""
-    run_id = run_in(search)
     home = dcc.Link("See all runs", href="/runs", className="wl-button primary")
+    found = page_at(path)
+    if found is None:
+        sentence = f"There is no page {path[:60]}."
+        return html.Div(empty("Nothing here", sentence, home), className="wl-scroll")
     try:
-        if pathname in ("", "/", "/operate"):
-            return operate.layout(manager, settings, run_id)
-        if pathname == "/replay" and run_id:
-            return replay.layout(manager, run_id)
-        if pathname in ("/replay", "/runs"):
-            return replay.catalogue_page(manager)
+        return found.layout(manager, settings, path, query)
     except WattlaneError as error:
         return html.Div(empty("This page can't be shown", str(error), home), className="wl-scroll")
-    sentence = f"There is no page {pathname[:60]}."
-    return html.Div(empty("Nothing here", sentence, home), className="wl-scroll")
 
 
-def title(manager: RunManager, pathname: str, search: str | None) -> Any:
+def title(manager: RunManager, path: str, query: Query) -> Any:
     """Scenario and run for the top bar."""
-    run_id = run_in(search)
-    if pathname in ("", "/", "/operate") and run_id is None:
+    run_id = query.get("run")
+    if path in pages()[0].paths and run_id is None:
         live = manager.live()
         run_id = live[-1] if live else None
-    if run_id is None or pathname == "/runs":
+    if run_id is None or path == "/runs":
         return None
     try:
         status = manager.status(run_id)
@@ -156,7 +170,8 @@ def install(app: dash.Dash, manager: RunManager, settings: Settings) -> None:
     )
     def route(pathname: str | None, search: str | None, _: Any) -> tuple[Any, Any, Any]:
         path = (pathname or "/").rstrip("/") or "/"
-        return page(manager, settings, path, search), nav(path), title(manager, path, search)
+        query = query_of(search)
+        return content(manager, settings, path, query), nav(path), title(manager, path, query)
 
     app.clientside_callback(
         ClientsideFunction("wattlane", "scheme"),
@@ -172,7 +187,7 @@ def install(app: dash.Dash, manager: RunManager, settings: Settings) -> None:
         prevent_initial_call=True,
     )
     stage.register(app, manager)
-    operate.register(app, manager)
-    replay.register(app, manager)
+    for page in pages():
+        page.register(app, manager, settings)
     # Dash's FastAPI backend lists the assets on the first request for `/`; a deep link would come before it.
     app._setup_server()
