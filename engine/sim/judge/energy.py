@@ -8,7 +8,7 @@ per second while moving. Each component of a motion is rounded once, half to eve
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -36,13 +36,20 @@ def energy(r: Record, log: RunLog, scenario: Scenario, graph: MotionGraph) -> It
 
 
 def costs(scenario: Scenario, graph: MotionGraph) -> I64 | None:
-    """Energy in mJ of (primitive, empty or loaded, component); None for a demand model that the judge does not know."""
-    fleet = scenario.fleet
+    """Energy in mJ of (mass, primitive, empty or loaded, component); None for a demand model that the judge does not
+    know. Vehicles have the masses in turn.
+    """
+    masses = scenario.fleet.masses_kg or (scenario.fleet.mass_kg,)
+    each = [_costs(scenario, graph, mass) for mass in masses]
+    return None if any(c is None for c in each) else np.stack([c for c in each if c is not None])
+
+
+def _costs(scenario: Scenario, graph: MotionGraph, mass_kg: float) -> I64 | None:
     out = np.zeros((len(graph.primitives), 2, len(COMPONENTS)), np.int64)
     for k, primitive in enumerate(graph.primitives):
-        for load, mass in enumerate((fleet.mass_kg, fleet.mass_kg + fleet.payload_kg)):
+        for load, mass in enumerate((mass_kg, mass_kg + scenario.fleet.payload_kg)):
             if scenario.energy.demand == "xu2025":
-                parts = _xu2025(primitive, mass, scenario)
+                parts = xu2025_joules(primitive, mass, scenario.energy.parameters, scenario.motion.speed_mps)
             elif scenario.energy.demand == "constant":
                 percent = scenario.energy.parameters.get("percent_per_s", 1.0)
                 joules = percent / 100 * scenario.battery.capacity_wh * 3600 * primitive.ticks * scenario.time.tick_s
@@ -54,10 +61,12 @@ def costs(scenario: Scenario, graph: MotionGraph) -> I64 | None:
     return out
 
 
-def _xu2025(primitive: Primitive, mass_kg: float, scenario: Scenario) -> dict[Component, float]:
-    given = scenario.energy.parameters
+def xu2025_joules(
+    primitive: Primitive, mass_kg: float, given: Mapping[str, float], speed_mps: float
+) -> dict[Component, float]:
+    """Energy of a motion by component, standby excluded. given: parameters over the defaults."""
     mu, g = given.get("mu", 0.01), given.get("g", 9.81)
-    v_mps, omega = given.get("v_mps", scenario.motion.speed_mps), given.get("omega", math.pi / 2)
+    v_mps, omega = given.get("v_mps", speed_mps), given.get("omega", math.pi / 2)
     length_m, width_m = given.get("length_m", 1.2), given.get("width_m", 0.9)
     inertia = mass_kg * (length_m * length_m + width_m * width_m) / 12
     return {
@@ -75,8 +84,8 @@ def standby_mj(scenario: Scenario) -> int:
 
 def _motions(r: Record, cost: I64, graph: MotionGraph) -> Iterator[Breach]:
     """The energy logged with each motion."""
-    total = cost.sum(2)
-    expected = np.where(r.moves, total[r.primitive, np.clip(r.loaded, 0, 1)], 0)
+    total = cost.sum(3)
+    expected = np.where(r.moves, total[r.vehicle % len(cost), r.primitive, np.clip(r.loaded, 0, 1)], 0)
     cut = np.nonzero(r.cut)[0]
     if len(cut):
         expected[cut] = _part(r, cut, cost, graph, r.t1[cut]).sum(1)
@@ -90,7 +99,7 @@ def _motions(r: Record, cost: I64, graph: MotionGraph) -> Iterator[Breach]:
 
 def _part(r: Record, rows: I64, cost: I64, graph: MotionGraph, until: I64) -> I64:
     """Energy (rows, components) of motions up to a tick: spread over their ticks by cumulative floor."""
-    whole = cost[r.primitive[rows], np.clip(r.loaded[rows], 0, 1)] * r.moves[rows, None]
+    whole = cost[r.vehicle[rows] % len(cost), r.primitive[rows], np.clip(r.loaded[rows], 0, 1)] * r.moves[rows, None]
     ticks = np.maximum(np.asarray(graph.kind_ticks, np.int64)[r.primitive[rows]], 1)
     passed = np.clip(np.minimum(until, r.t1[rows]) - r.t0[rows], 0, ticks)
     return np.asarray(whole * passed[:, None] // ticks[:, None])
@@ -124,11 +133,11 @@ def _sums(r: Record, s: _Samples, cost: I64, graph: MotionGraph) -> I64:
     known = at >= 0
     part = _part(r, np.maximum(at, 0), cost, graph, s.tick)
     out = np.zeros_like(s.ledger)
-    kinds = r.primitive * 2 + np.clip(r.loaded, 0, 1)
+    kinds = (r.vehicle % len(cost), r.primitive, np.clip(r.loaded, 0, 1))
     cut = np.nonzero(r.cut)[0]
     short = _part(r, cut, cost, graph, r.t1[cut]) if len(cut) else None
-    for c in range(cost.shape[2]):
-        table = cost[:, :, c].reshape(-1)
+    for c in range(cost.shape[3]):
+        table = cost[:, :, :, c]
         if not table.any():
             continue
         each = np.where(r.moves, table[kinds], 0)
