@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from engine.errors import InvariantBroken
 from engine.types import FOREVER
 
 
@@ -66,6 +67,27 @@ class Listed:
 
     def restore(self, plain: Mapping[str, Any]) -> None:
         self._at = int(plain["at"])
+
+
+class NoOrders:
+    """None at all: the vehicles drive to goals of their own."""
+
+    next_tick = FOREVER
+
+    def take(self) -> tuple[int, int, int]:
+        raise InvariantBroken("there is no order to take")
+
+    def set_rate(self, per_h: float, tick: int) -> str:
+        return "the vehicles of this scenario drive to goals of their own; there is no rate to change"
+
+    def start_at(self, tick: int) -> None:
+        """Nothing starts."""
+
+    def to_plain(self) -> dict[str, Any]:
+        return {}
+
+    def restore(self, plain: Mapping[str, Any]) -> None:
+        """Nothing to restore."""
 
 
 class Poisson:

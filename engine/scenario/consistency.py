@@ -59,6 +59,12 @@ def _floor(scenario: Scenario) -> Iterator[Problem]:
         return
     if floor.blocks is not None:
         yield Problem(("floor", "blocks"), "only a floor of kind 'blocks' has this table")
+    if floor.map is not None:
+        text = "a map beside the scenario is read when the scenario is a file; here `rows` must hold the map's rows"
+        if floor.kind != "movingai":
+            text = f"only a floor of kind 'movingai' has a map; this one is of kind {floor.kind!r}"
+        yield Problem(("floor", "map"), text)
+        return
     rows = floor.drawing()
     if not rows:
         yield Problem(("floor", "rows" if floor.rows is not None else "kind"), "a drawn floor needs rows of letters")
@@ -66,13 +72,15 @@ def _floor(scenario: Scenario) -> Iterator[Problem]:
     if sum(map(len, rows)) > MAX_CELLS:
         yield Problem(("floor", "rows"), f"a floor has at most {MAX_CELLS:,} cells")
         return
+    # MovingAI's letters are already translated here: what is left untranslated is unknown
+    letters, known = (".#", ".GSE@OTW") if floor.kind == "movingai" else ("".join(LETTERS), "".join(LETTERS))
     for number, row in enumerate(rows):
         if len(row) != len(rows[0]):
             text = f"row {number + 1} has {len(row)} cells, expected {len(rows[0])} as in row 1"
             yield Problem(("floor", "rows"), text, number)
         for column, letter in enumerate(row):
-            if letter not in LETTERS:
-                text = f"row {number + 1}, column {column + 1}: {unknown_name('letter', letter, LETTERS)}"
+            if letter not in letters:
+                text = f"row {number + 1}, column {column + 1}: {unknown_name('letter', letter, known)}"
                 yield Problem(("floor", "rows"), text, number)
                 break
     if not any(letter in AISLES + ENDPOINTS for row in rows for letter in row):
@@ -113,6 +121,11 @@ def _times(scenario: Scenario) -> Iterator[Problem]:
     if time.finish != "never" and orders.source == "poisson" and orders.limit is None:
         text = f"got {time.finish!r}, but poisson orders without orders.limit are never all done"
         yield Problem(("time", "finish"), text)
+    if (time.finish == "goals reached") != (orders.source == "goals") and time.finish != "never":
+        wanted = "'goals reached' or 'never'" if orders.source == "goals" else "an end that orders can bring"
+        yield Problem(
+            ("time", "finish"), f"got {time.finish!r}, but orders.source is {orders.source!r}: expected {wanted}"
+        )
     low, high = scenario.faults.delay_ticks
     if low > high:
         yield Problem(("faults", "delay_ticks"), f"got [{low}, {high}], expected [shortest, longest]")
@@ -120,6 +133,9 @@ def _times(scenario: Scenario) -> Iterator[Problem]:
 
 def _orders(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:
     orders = scenario.orders
+    if orders.source == "goals":
+        yield from _cells(scenario, cells, orders.goals, ("orders", "goals"))
+        return
     counts = {kind: int((cells == ord(letter)).sum()) for letter, kind in STATIONS.items()}
     total = sum(counts.values())
     if orders.source == "listed":
@@ -139,17 +155,23 @@ def _orders(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:
 
 def _fleet(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:
     start = scenario.fleet.start
-    if isinstance(start, str):
-        return
+    if not isinstance(start, str):
+        yield from _cells(scenario, cells, start, ("fleet", "start"))
+
+
+def _cells(
+    scenario: Scenario, cells: NDArray[np.uint8], given: tuple[tuple[int, int], ...], path: Path
+) -> Iterator[Problem]:
+    """One cell per vehicle, each on the floor, passable and given once."""
     height, width = cells.shape
-    if len(start) != scenario.fleet.count:
-        text = f"got {len(start)} cells for {scenario.fleet.count} vehicles; expected one each"
-        yield Problem(("fleet", "start"), text)
-    for i, (x, y) in enumerate(start):
+    if len(given) != scenario.fleet.count:
+        yield Problem(path, f"got {len(given)} cells for {scenario.fleet.count} vehicles; expected one each")
+    seen: set[tuple[int, int]] = set()
+    for i, (x, y) in enumerate(given):
         if x >= width or y >= height:
-            text = f"({x}, {y}) lies outside the floor of {width} × {height} cells"
-            yield Problem(("fleet", "start", i), text)
+            yield Problem((*path, i), f"({x}, {y}) lies outside the floor of {width} × {height} cells")
         elif (letter := chr(cells[y, x])) not in AISLES + ENDPOINTS:
-            yield Problem(("fleet", "start", i), f"({x}, {y}) is a {LETTERS[letter]}; a vehicle can't be there")
-        elif start.index((x, y)) != i:
-            yield Problem(("fleet", "start", i), f"({x}, {y}) is taken twice")
+            yield Problem((*path, i), f"({x}, {y}) is a {LETTERS[letter]}; a vehicle can't be there")
+        elif (x, y) in seen:
+            yield Problem((*path, i), f"({x}, {y}) is taken twice")
+        seen.add((x, y))
