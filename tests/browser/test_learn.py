@@ -148,7 +148,7 @@ def test_an_edited_floor_is_planned_again_and_its_address_reopens_it(dashboard: 
     page.mouse.move(*at_cell(page, 7, 1, 1), steps=4)
     page.mouse.up()
     after(page, before)
-    assert page.evaluate("wattlane.lesson.state.goal") == "7.1"
+    until(page, "wattlane.lesson.state.goal == '7.1'")
     before = answers(page)
     page.get_by_label("Algorithm of search 1").select_option("dijkstra-energy")
     after(page, before)
@@ -166,11 +166,11 @@ def test_an_edited_floor_is_planned_again_and_its_address_reopens_it(dashboard: 
     open_lesson(page, address)
     expect(page.locator(".wl-lesson-counts").first).to_contain_text("7 / ")
     assert [counts(page, 0), counts(page, 1)] == seen
-    assert page.evaluate("wattlane.lesson.floor.walls.reduce((a, b) => a + b)") == 6
+    until(page, "wattlane.lesson.floor.walls.reduce((a, b) => a + b) == 6")
     before = answers(page)
     page.get_by_role("button", name="Clear").click()
     after(page, before)
-    assert "map=9x7&" in page.url
+    until(page, "location.href.includes('map=9x7&')")
 
 
 def test_the_floor_is_drawn_with_the_keyboard(dashboard: Any, page: Page) -> None:
@@ -183,12 +183,12 @@ def test_the_floor_is_drawn_with_the_keyboard(dashboard: Any, page: Page) -> Non
     before = answers(page)
     page.keyboard.press("Enter")
     after(page, before)
-    assert page.evaluate("[...wattlane.lesson.floor.walls].indexOf(1)") == 6
+    until(page, "[...wattlane.lesson.floor.walls].indexOf(1) == 6")
     page.keyboard.press("ArrowUp")
     before = answers(page)
     page.keyboard.press("s")
     after(page, before)
-    assert page.evaluate("wattlane.lesson.state.start") == "1.2"
+    until(page, "wattlane.lesson.state.start == '1.2'")
     page.keyboard.press("Escape")
     page.keyboard.press("ArrowRight")
     expect(page.locator(".wl-lesson-counts").first).to_contain_text("1 / ")
@@ -202,8 +202,8 @@ def test_random_floors_and_searches_are_added_and_removed(dashboard: Any, page: 
     before = answers(page)
     page.get_by_role("button", name="Random floor").click()
     after(page, before)
-    assert "map=12x10r20s5&" in page.url
-    assert page.evaluate("wattlane.lesson.floor.walls.reduce((a, b) => a + b)") == 24
+    until(page, "location.href.includes('map=12x10r20s5&')")
+    until(page, "wattlane.lesson.floor.walls.reduce((a, b) => a + b) == 24")
     for many in (2, 3, 4):
         page.get_by_role("button", name="Add a search").click()
         expect(page.locator(".wl-lesson-panel")).to_have_count(many)
@@ -286,11 +286,11 @@ def test_switches_and_edits_change_the_tree(dashboard: Any, page: Page) -> None:
     page.mouse.down()
     page.mouse.up()
     after(page, before)
-    assert page.evaluate("wattlane.lesson.floor.walls[5]") == 1
+    until(page, "wattlane.lesson.floor.walls[5] == 1")
     before = answers(page)
     page.get_by_role("button", name="One vehicle less").click()
     after(page, before)
-    assert page.evaluate("wattlane.lesson.plan.length") == 3
+    until(page, "wattlane.lesson.plan.length == 3")
     before = answers(page)
     page.mouse.move(*at_cell(page, 3, 3, None))
     page.mouse.down()
@@ -311,7 +311,7 @@ def test_on_a_phone_nothing_sticks_out(dashboard: Any, page: Page, path: str) ->
     else:
         page.goto(dashboard.url + path)
         expect(page.locator(".wl-lesson-card").first).to_be_visible()
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    until(page, "document.documentElement.scrollWidth <= 390")
 
 
 @pytest.mark.parametrize("context", [PHONE], indirect=True)
@@ -325,7 +325,7 @@ def test_a_finger_reads_cells_and_draws_when_asked(dashboard: Any, page: Page) -
     before = answers(page)
     page.touchscreen.tap(*at_cell(page, 4, 3))
     after(page, before)
-    assert page.evaluate("wattlane.lesson.floor.walls[4 + 3 * 9]") == 1
+    until(page, "wattlane.lesson.floor.walls[4 + 3 * 9] == 1")
 
 
 @pytest.mark.parametrize("context", [{}, DARK], indirect=True)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
+from tests.browser.stage import until
 from tests.browser.test_pages import PHONE
 
 pytestmark = pytest.mark.browser
@@ -51,7 +52,7 @@ def test_what_ships_is_shown_with_its_table_and_figures(dashboard: Any, page: Pa
     expect(page.locator("#papers-result")).to_have_value(ending("came with the program"))
     for name in ("Figure 7", "Figure 8", "Figure 10"):
         expect(page.locator("figcaption", has_text=name)).to_be_visible()
-    assert page.locator(".wl-papers-floor").count() == 5
+    expect(page.locator(".wl-papers-floor")).to_have_count(5)
     for kind in ("JSON", "Markdown", "HTML with figures"):
         address = page.get_by_role("link", name=kind, exact=True).get_attribute("href")
         with urllib.request.urlopen(dashboard.url + str(address), timeout=60) as answer:
@@ -72,7 +73,7 @@ def test_figures_follow_light_and_dark(dashboard: Any, page: Page) -> None:
 @pytest.mark.parametrize("context", [PHONE], indirect=True)
 def test_on_a_phone_nothing_sticks_out(dashboard: Any, page: Page) -> None:
     open_papers(page, dashboard.url)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    until(page, "document.documentElement.scrollWidth <= 390")
     tops = [page.locator(name).bounding_box() for name in (".wl-papers-side", ".wl-papers-main")]
     assert tops[0]["y"] < tops[1]["y"]  # type: ignore[index]
 
@@ -107,7 +108,7 @@ def test_a_run_is_cancelled_and_another_one_finishes_and_stays(dashboard: Any, p
     page.locator("#papers-result").click()
     page.get_by_role("option", name="came with the program").click()
     expect(page.locator("#papers-result")).to_have_value(ending("came with the program"))
-    assert page.url.endswith("/papers?study=xu2025&result=shipped")
+    until(page, "location.href.endsWith('/papers?study=xu2025&result=shipped')")
     drawn(page)
 
 

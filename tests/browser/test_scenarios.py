@@ -13,7 +13,7 @@ from playwright.sync_api import Page, expect
 
 import assets
 from engine.scenario.movingai import map_text, random_floor, random_trips, scen_text
-from tests.browser.stage import FIRST_FRAME_MS, api, note, open_stage, stop_run
+from tests.browser.stage import FIRST_FRAME_MS, api, note, open_stage, stop_run, until
 
 pytestmark = pytest.mark.browser
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
@@ -131,8 +131,8 @@ def test_what_the_checks_found_is_marked_on_the_floor(library: str, page: Page, 
     expect(page.locator("#scenarios-map")).to_have_attribute("data-marks", re.compile("[1-9]"))
     expect(page.locator("#scenarios-caution")).to_contain_text("The checks found")
     errors.first.get_by_role("button", name="Show on the map").click()
-    assert page.evaluate("wattlane.library.map.view.y") == 8.5
-    assert page.evaluate("wattlane.library.map.chosen.level") == "error"
+    until(page, "wattlane.library.map.view.y == 8.5")
+    until(page, "wattlane.library.map.chosen.level == 'error'")
 
 
 def test_map_and_scen_are_previewed_imported_and_run_live(library: str, page: Page, files: Path) -> None:
@@ -154,7 +154,7 @@ def test_map_and_scen_are_previewed_imported_and_run_live(library: str, page: Pa
     page.get_by_role("button", name="Import", exact=True).click()
     page.wait_for_url(re.compile(r"scenario=small$"))
     expect(page.locator('#scenarios-map[data-shown="small"]')).to_be_visible(timeout=30_000)
-    assert len(page.evaluate("wattlane.library.map.trips")) == 4
+    until(page, "wattlane.library.map.trips.length == 4")
     page.fill("#scenarios-fleet", "3")
     page.get_by_role("button", name="Start", exact=True).click()
     page.wait_for_url(re.compile(r"/operate\?run="), timeout=30_000)
@@ -165,7 +165,7 @@ def test_map_and_scen_are_previewed_imported_and_run_live(library: str, page: Pa
     status = api(library, f"/api/runs/{made[1]}")
     assert (status["scenario"], status["planner"], status["fleet"]) == ("small", "prioritized", 3)
     open_stage(page, f"{library}/replay?run={made[1]}&t=1")
-    assert page.evaluate("wattlane.stage.map.n") == 3
+    until(page, "wattlane.stage.map.n == 3")
     if api(library, f"/api/runs/{made[1]}")["alive"]:
         stop_run(library, made[1])
 
@@ -237,13 +237,13 @@ def test_operate_offers_imported_scenarios_and_the_planners_that_fit(library: st
 @pytest.mark.parametrize("context", [PHONE, PHONE | {"color_scheme": "dark"}], indirect=True, ids=["light", "dark"])
 def test_on_a_phone_nothing_sticks_out(library: str, page: Page, files: Path) -> None:
     opened(page, library, "warehouse-large")
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    until(page, "document.documentElement.scrollWidth <= 390")
     cards = page.locator(".wl-scn-cards .current").bounding_box()
     assert cards
     assert 0 <= cards["x"] <= 390, "the chosen card is in view"
     give(page, files / "small.map", files / "small.scen")
     seen(page, "small")
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    until(page, "document.documentElement.scrollWidth <= 390")
 
 
 def test_the_preview_moves_by_keys_and_follows_the_scheme(library: str, page: Page) -> None:
@@ -262,4 +262,4 @@ def test_the_preview_moves_by_keys_and_follows_the_scheme(library: str, page: Pa
     page.get_by_role("button", name="Light or dark").click()
     expect(page.locator("html")).to_have_attribute("data-mantine-color-scheme", "dark")
     expect(page.locator("#scenarios-map")).to_have_attribute("data-scheme", "dark")
-    assert page.evaluate("wattlane.library.map.palette.aisle") != light
+    until(page, f"wattlane.library.map.palette.aisle != '{light}'")
