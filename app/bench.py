@@ -19,9 +19,8 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from app.settings import use_kernel_cache
@@ -154,12 +153,12 @@ def frames() -> list[Measured]:
     import numpy as np
 
     from app.live import encode_frame
+    from engine.world.poses import Poses
 
     found = []
     for n in FRAME_SIZES:
         rng = np.random.default_rng(1)
-        names = ("x_m", "y_m", "heading_deg", "soc", "state", "loaded", "low")
-        poses: Any = SimpleNamespace(**{name: rng.random(n).astype(np.float32) for name in names})
+        poses = Poses(**{field.name: rng.random(n).astype(np.float32) for field in fields(Poses)})
         count, begin = 0, time.perf_counter()
         while (spent := time.perf_counter() - begin) < 0.3:
             encode_frame(poses, width_m=100.0, height_m=100.0, time_s=float(count), tick=count)

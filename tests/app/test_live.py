@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app import bench
 from app.live import DONE, HEADER, LOADED, LOW, PAUSED, REPLAY, VEHICLE, decode_frame, encode_frame, relabel
 from engine.errors import FormatError
 
@@ -96,3 +97,7 @@ def test_relabel_changes_the_flags_alone() -> None:
     data = encoded(poses(2), flags=0)
     assert decode_frame(relabel(data, DONE)).done
     assert relabel(relabel(data, DONE), 0) == data
+
+
+def test_the_benchmark_makes_frames_of_whole_fleets() -> None:
+    assert [line.value > 0 for line in bench.frames()] == [True] * len(bench.FRAME_SIZES)
