@@ -178,7 +178,7 @@ def charger_mj(scenario: Scenario) -> tuple[int, int]:
 
 def source_of(scenario: Scenario, world: World, rng: np.random.Generator) -> Any:
     """The scenario's source of orders. Raises ScenarioError for unknown stations."""
-    from engine.orders.sources import Listed, Poisson
+    from engine.orders.sources import Backlog, Listed, Poisson
 
     orders = scenario.orders
     if orders.source == "listed":
@@ -192,6 +192,8 @@ def source_of(scenario: Scenario, world: World, rng: np.random.Generator) -> Any
             if not found:
                 raise ScenarioError(f"orders.mix: the floor has no station of kind {kind!r}")
         mix.append((kinds[0], kinds[1], item.weight))
+    if orders.source == "backlog":
+        return Backlog(rng, mix, orders.backlog, orders.limit)
     return Poisson(rng, orders.rate_per_h, mix, scenario.time.tick_s, orders.limit, orders.initial)
 
 

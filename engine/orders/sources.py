@@ -1,4 +1,4 @@
-"""Where orders come from: listed pairs, or Poisson arrivals between kinds of stations."""
+"""Where orders come from: listed pairs, Poisson arrivals between kinds of stations, or a backlog kept full."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ class OrderSource(Protocol):
 
     def take(self) -> tuple[int, int, int]:
         """The next order."""
+        ...
+
+    def see(self, open_orders: int) -> None:
+        """Take note of how many orders wait for a vehicle."""
         ...
 
     def set_rate(self, per_h: float, tick: int) -> str:
@@ -54,6 +58,9 @@ class Listed:
         a, b = self._pairs[self._at]
         self._at += 1
         return 0, a, b
+
+    def see(self, open_orders: int) -> None:
+        """Listed orders wait for nobody."""
 
     def set_rate(self, per_h: float, tick: int) -> str:
         return "the orders of this scenario are listed; there is no rate to change"
@@ -116,6 +123,9 @@ class Poisson:
             self._draw_gap()
         return tick, a, b
 
+    def see(self, open_orders: int) -> None:
+        """Arrivals wait for nobody."""
+
     def set_rate(self, per_h: float, tick: int) -> str:
         self._rate = per_h
         self.start_at(tick)
@@ -138,3 +148,52 @@ class Poisson:
         self._rng.bit_generator.state = plain["rng"]
         self._rate, self._left, self._time = plain["rate"], plain["left"], plain["time"]
         self._initial = plain["initial"]
+
+
+class Backlog:
+    """A closed loop: whenever fewer than `backlog` orders are open, new ones come between kinds of stations.
+
+    The sequence of orders depends on the seed alone, not on how fast they are carried. mix, limit: as for Poisson.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        mix: Sequence[tuple[Sequence[int], Sequence[int], float]],
+        backlog: int,
+        limit: int | None,
+    ):
+        self._rng, self._mix, self._backlog, self._left = rng, mix, backlog, limit
+        weights = np.array([w for _, _, w in mix])
+        self._bounds = np.cumsum(weights / weights.sum())
+        self._missing = backlog
+
+    @property
+    def next_tick(self) -> int:
+        return 0 if self._missing > 0 and self._left != 0 else FOREVER
+
+    def take(self) -> tuple[int, int, int]:
+        row = min(int(np.searchsorted(self._bounds, self._rng.random(), side="right")), len(self._mix) - 1)
+        sources, targets, _ = self._mix[row]
+        a = sources[int(self._rng.integers(len(sources)))]
+        b = targets[int(self._rng.integers(len(targets)))]
+        self._missing -= 1
+        if self._left is not None:
+            self._left -= 1
+        return 0, a, b
+
+    def see(self, open_orders: int) -> None:
+        self._missing = self._backlog - open_orders
+
+    def set_rate(self, per_h: float, tick: int) -> str:
+        return "the orders of this scenario come as fast as they are carried; there is no rate to change"
+
+    def start_at(self, tick: int) -> None:
+        self._missing = self._backlog
+
+    def to_plain(self) -> dict[str, Any]:
+        return {"rng": self._rng.bit_generator.state, "left": self._left, "missing": self._missing}
+
+    def restore(self, plain: Mapping[str, Any]) -> None:
+        self._rng.bit_generator.state = plain["rng"]
+        self._left, self._missing = plain["left"], plain["missing"]

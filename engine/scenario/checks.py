@@ -18,7 +18,7 @@ from engine.errors import ScenarioError
 from engine.scenario.model import Scenario
 from engine.types import NONE, StationKind
 from engine.units import J_PER_WH
-from engine.world.floor import Station, World
+from engine.world.floor import GridWorld, Station, World
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -57,7 +57,9 @@ def check(scenario: Scenario, world: World, demand: DemandModel | None = None) -
     graph = place_graph(world)
     main = _main_component(graph, world)
     findings = [*_reachable(world, graph, main), *_well_formed(world)]
-    findings += [*_rest_places(scenario, world), *_starts(scenario, world, main), *_speed(scenario)]
+    findings += [*_rest_places(scenario, world), *_starts(scenario, world, main)]
+    if isinstance(world, GridWorld):
+        findings += _speed(scenario)
     if any(f.level == "error" and f.check in ("reachable", "one-way") for f in findings):
         text = "not checked: stations or chargers can't be reached"
         return [*findings, Finding("warning", "battery", text)]
@@ -96,8 +98,9 @@ def ill_formed_pairs(world: World, limit: int | None = None) -> list[tuple[int, 
     import networkx as nx
 
     graph = place_graph(world)
-    ends = np.flatnonzero(world.endpoint).tolist()
-    aisles = graph.subgraph(np.flatnonzero(~world.endpoint).tolist())
+    closed = _closed(world)
+    ends = np.flatnonzero(closed).tolist()
+    aisles = graph.subgraph(np.flatnonzero(~closed).tolist())
     attached = all(any(n in aisles for n in graph.succ[e]) and any(n in aisles for n in graph.pred[e]) for e in ends)
     if attached and len(aisles) and nx.is_strongly_connected(aisles):
         return []
@@ -113,6 +116,16 @@ def ill_formed_pairs(world: World, limit: int | None = None) -> list[tuple[int, 
                 if len(pairs) == limit:
                     return pairs
     return pairs
+
+
+def _closed(world: World) -> NDArray[np.bool_]:
+    """(P,) places through which no path may need to lead: endpoints of a drawing; kerbs of a network, whose stations
+    are through nodes where nobody stays for good."""
+    if isinstance(world, GridWorld):
+        return world.endpoint
+    closed = np.zeros(world.n_places, np.bool_)
+    closed[world.parking] = closed[world.chargers] = True
+    return closed
 
 
 def _arcs(world: World) -> NDArray[np.int64]:
@@ -195,7 +208,7 @@ def _rest_places(scenario: Scenario, world: World) -> Iterator[Finding]:
 
 def _starts(scenario: Scenario, world: World, main: set[int]) -> Iterator[Finding]:
     start = scenario.fleet.start
-    if isinstance(start, str):
+    if isinstance(start, str) or not isinstance(world, GridWorld):
         return
     for vehicle, (x, y) in enumerate(start):
         place = world.place_at(x, y)
@@ -363,7 +376,9 @@ def _leg(world: World, start: int, end: int, loaded: bool) -> Leg:
 
 
 def _state_at_rest(world: World, endpoint: int) -> int:
-    """State of a vehicle standing at an endpoint, heading away from its access cell."""
+    """State of a vehicle standing at an endpoint, heading away from its access cell; on a network the first."""
+    if not isinstance(world, GridWorld):
+        return int(world.graph.place_ptr[endpoint])
     (x, y), (ax, ay) = world.cell_of_place[endpoint], world.cell_of_place[world.access[endpoint]]
     inwards = round(np.degrees(np.arctan2(int(y) - int(ay), int(x) - int(ax)))) % 360
     return world.graph.state(endpoint, world.graph.heading_deg.index(inwards))

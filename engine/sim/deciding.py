@@ -26,6 +26,8 @@ STAND_BACK_S = 30.0
 def decide(sim: Simulation, broken: bool) -> None:
     sim.retry = FOREVER
     read_marks(sim)
+    sim.source.see(len(sim.book.open))
+    take_orders(sim)
     if broken:
         recovery.break_and_repair(sim)
     recovery.replan(sim)

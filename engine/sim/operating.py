@@ -40,8 +40,7 @@ def set_block(sim: Simulation, place: int, blocked: bool) -> None:
     sim.blocked[place] = int(blocked)
     sim.block_version += 1
     sim.ledger.row("blocks", sim.tick, place, int(blocked))
-    x, y = (int(c) for c in sim.world.cell_of_place[place])
-    sim.say("blocked" if blocked else "unblocked", f"cell ({x}, {y})", int(blocked), NONE, NONE, place)
+    sim.say("blocked" if blocked else "unblocked", sim.world.label(place), int(blocked), NONE, NONE, place)
     if not blocked:
         sim.try_at[:] = 0
         return
