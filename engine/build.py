@@ -22,6 +22,9 @@ from engine.world import World, build_world
 PLANNERS: dict[str, str] = {
     "prioritized": "engine.planners.prioritized:Prioritized",
     "quickest": "engine.planners.quickest:Quickest",
+    "stochastic": "engine.planners.stochastic:Stochastic",
+    "astar-distance": "engine.planners.astar_distance:AStarDistance",
+    "astar-turns": "engine.planners.astar_turns:AStarTurns",
 }
 SOLVERS: dict[str, str] = {
     "cbs": "engine.planners.cbs:CBS",

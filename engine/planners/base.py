@@ -38,6 +38,10 @@ class Rows(Protocol):
         """Row of a goal, computed when absent."""
         ...
 
+    def row(self, goal: int) -> NDArray[np.int64]:
+        """Costs of every pose (or state) to a goal; valid until the next goal is asked for."""
+        ...
+
 
 class Search(Protocol):
     """What a run shares among its deciders: exact costs on the empty floor, and one vehicle's search among all."""
@@ -60,6 +64,10 @@ class Search(Protocol):
 
     def energy_to(self, goal: int, state: int) -> int:
         """mJ of that way for the least class, empty and rolling, standby included."""
+        ...
+
+    def by_edge(self, name: str, version: int, costs: NDArray[np.int64]) -> Rows:
+        """Backward tables over poses with a cost per edge (E,), kept under a name until its version changes."""
         ...
 
     def through(self, view: View, objective: str, budget: Budget) -> Plan:
@@ -154,8 +162,17 @@ class Promise:
     mode: frozenset[str] = frozenset({"lifelong"})
 
 
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """What arcs took during one period, by place (P,): number of visits, and their ticks summed."""
+
+    samples: NDArray[np.int64]
+    total_ticks: NDArray[np.int64]
+    tick_s: float
+
+
 class Planner(Protocol):
-    """Decides where and when."""
+    """Decides where and when. One that learns also has `refresh_s` and `learn(observed, memory) → memory`."""
 
     promise: Promise
 

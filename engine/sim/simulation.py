@@ -23,7 +23,7 @@ from engine.orders.book import OrderBook
 from engine.orders.sources import OrderSource
 from engine.planners.base import Memory, Planner, Search
 from engine.scenario.model import Scenario
-from engine.sim import checkpoint, deciding, kernels, operating, planning
+from engine.sim import checkpoint, deciding, kernels, learning, operating, planning
 from engine.sim.commands import Answer, submit
 from engine.sim.faults import Faults
 from engine.sim.ledger import Ledger, Recorder
@@ -117,6 +117,8 @@ class Simulation:
         self.deadlocks = 0
         self.retry = FOREVER
         self.view = self._floor_view()
+        self.learning = learning.Learning(self)
+        learning.begin(self)
         self._begin()
 
     def _levels(self, n: int) -> Levels:
@@ -189,8 +191,13 @@ class Simulation:
 
     def digest(self) -> str:
         """Hex digest of everything that happened so far; the same however often the log was flushed."""
-        self.ledger.drain(self.sink)
+        self.drain()
         return self.ledger.digest()
+
+    def drain(self) -> None:
+        """Take the kernel's rows: arc times from the motions, then all to the ledger."""
+        self.learning.see(self.sink.motions, int(self.sink.filled[0]))
+        self.ledger.drain(self.sink)
 
     def metrics(self) -> dict[str, Any]:
         """A few counters of the moment."""
@@ -236,7 +243,7 @@ class Simulation:
         target = first + ticks
         c = self.clock
         while not self.done:
-            wake = min(target, self.source.next_tick, self.faults.next_tick, self.retry)
+            wake = min(target, self.source.next_tick, self.faults.next_tick, self.retry, self.learning.next_tick)
             status = kernels.run(
                 self.fleet, self.steps, self.arrays, self.claims, self.sink, self.parts.costs.mj,
                 self.parts.costs.total_mj, self.parts.costs.standby_mj, self.levels, c, self.blocked, self.linger,
@@ -244,8 +251,10 @@ class Simulation:
             )  # fmt: skip
             self.view.tick = self.tick
             if status == 2:
-                self.ledger.drain(self.sink)
+                self.drain()
                 continue
+            if self.learning.next_tick <= self.tick:
+                learning.refresh(self)
             arrived = deciding.take_orders(self) if self.source.next_tick <= self.tick else False
             broken = self.faults.next_tick <= self.tick
             if status == 1 or arrived or broken or self.retry <= self.tick:
@@ -256,7 +265,7 @@ class Simulation:
 
     def flush(self) -> None:
         """Hand all rows to the recorder, and a keyframe row per vehicle for what is still open."""
-        self.ledger.drain(self.sink)
+        self.drain()
         self.ledger.flush()
         if self.ledger.recorder is not None:
             self.ledger.send("keyframes", self._open_rows())
@@ -310,6 +319,11 @@ class Simulation:
         self.parts = replace(
             parts, world=old.world, search=old.search, costs=old.costs, battery=old.battery, power_mj=old.power_mj
         )
+        if parts.planner != old.planner:
+            times = self.learning.times
+            self.learning = learning.Learning(self)
+            self.learning.times = times
+            learning.begin(self)
         self.scenario = parts.scenario
         if not keep_orders:
             self.source = parts.source

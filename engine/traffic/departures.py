@@ -66,7 +66,7 @@ def ground_of(graph: MotionGraph, blocked: NDArray[np.uint8]) -> Ground:
     return Ground(*arrays, blocked)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def crosses(c: Claims, a: int, b: int, tick: int) -> bool:
     """True when one vehicle goes from place a to place b during [tick, tick+1) under the classical rule."""
     at = c.next[a]
@@ -81,7 +81,7 @@ def crosses(c: Claims, a: int, b: int, tick: int) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def departure(
     c: Claims, g: Ground, hold: bool, margin: int, e: int, u: int, v: int, gap: int, t: int, until: int
 ) -> int:

@@ -44,7 +44,7 @@ def new_steps(n: int, slots: int) -> Steps:
     return Steps(i32(), np.zeros((n, slots), np.int8), i32(), i32(), i32(), i32(), i32())
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def lift(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> int:
     """Take a vehicle's claims from its present place on out of the table, to plan as if it were gone.
 
@@ -62,7 +62,7 @@ def lift(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> int:
     return gap
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def put_back(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> None:
     """Undo `lift`."""
     link(c, here)
@@ -75,7 +75,7 @@ def put_back(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> N
             link(c, p.sweep1[v, k])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def forget(c: Claims, p: Steps, v: int, step: int, steps: int, linked: bool) -> None:
     """Give back the claims of steps not yet started."""
     for k in range(step, steps):
@@ -87,7 +87,7 @@ def forget(c: Claims, p: Steps, v: int, step: int, steps: int, linked: bool) -> 
         p.claim[v, k], p.sweep0[v, k], p.sweep1[v, k] = NONE, NONE, NONE
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def commit(
     c: Claims, p: Steps, g: GraphArrays, hold: bool, margin: int, v: int, here: int, edges: I32,
     what: NDArray[np.int8], starts: I32, ends: I32, n: int,

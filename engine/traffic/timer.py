@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from engine.energy import CostTable
-from engine.planners.base import Budget, Memory, Plan, Promise, Router, View, no_plan
+from engine.planners.base import Budget, Memory, Observed, Plan, Promise, Router, View, no_plan
 from engine.traffic.claims import Claims, gap_end
 from engine.traffic.departures import HORIZON, STAY, Ground, departure, ground_of
 from engine.types import FOREVER, Occupancy, PlanStatus
@@ -95,7 +95,7 @@ def time_route(
     return n
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def keep(label_gap, label_t, label_roll, came, began, used, n, i, gap, t, roll, a, begin, e):  # type: ignore[no-untyped-def]
     """Remember an arrival unless the same free interval was reached earlier; returns the number of labels."""
     at = n
@@ -119,9 +119,20 @@ class Timed:
     def __post_init__(self) -> None:
         object.__setattr__(self, "promise", self.router.promise)
 
+    @property
+    def refresh_s(self) -> float | None:
+        """How often the router learns, or None when it doesn't."""
+        period: float | None = getattr(self.router, "refresh_s", None)
+        return period
+
     def init(self, graph: MotionGraph, costs: CostTable, rng: np.random.Generator) -> Memory:
         """The router's memory."""
         return self.router.init(graph, costs, rng)
+
+    def learn(self, observed: Observed, memory: Memory) -> Memory:
+        """See Planner."""
+        learned: Memory = self.router.learn(observed, memory)  # type: ignore[attr-defined]
+        return learned
 
     def plan(self, view: View, memory: Memory, budget: Budget) -> tuple[Plan, Memory]:
         """The router's route, timed; else a detour."""

@@ -94,6 +94,7 @@ def compile_grid(free: NDArray[np.bool_], exits: NDArray[np.uint8], motion: Grid
         n_head=n_head,
         rows=rows,
         primitives=primitives,
+        arc_ticks=motion.straight_ticks,
     )
 
 
@@ -136,6 +137,7 @@ def assemble(
     primitives: tuple[Primitive, ...],
     headings: NDArray[np.int8] | None = None,
     heading_deg: tuple[int, ...] | None = None,
+    arc_ticks: NDArray[np.int32] | int = 0,
 ) -> MotionGraph:
     """Build the CSR arrays from edge rows (from, to, kind, swept place a, swept place b) sorted by from, then to.
 
@@ -179,6 +181,7 @@ def assemble(
         sweep=swept[swept >= 0].astype(i32),
         rev_ptr=rev_ptr,
         rev_edge=rev_edge,
+        arc_ticks=np.broadcast_to(np.asarray(arc_ticks, i32), n).copy(),
         heading_deg=heading_deg or tuple(range(0, 360, 360 // n_head)),
         primitives=primitives,
         kind_ticks=np.array([p.ticks for p in primitives], i32),

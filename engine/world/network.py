@@ -239,7 +239,7 @@ def build_network(plan: NetworkPlan) -> NetworkWorld:
     two = np.array([not plan.arcs[i].one_way for i in lane_arc])
     lane_xy = xy[lane_ends].mean(axis=1) + right * two[:, None]
     graph = _compile(plan, lane_arc, lane_ends, unit, np.concatenate([xy, lane_xy]).astype(np.float32))
-    parking = np.array([n + lane for lane in choose_kerbs(n, lane_ends, xy, plan.kerbs)], np.int32)
+    parking = np.array([n + lane for lane in choose_kerbs(plan, lane_ends, xy)], np.int32)
     order = [(kind, i) for kind in LETTERS for i, node in enumerate(nodes) if node.kind is kind]
     stations = tuple(
         Station(number, f"{LETTERS[kind]}{number}", kind, i, NONE) for number, (kind, i) in enumerate(order, start=1)
@@ -398,6 +398,7 @@ def _compile(
         primitives=tuple(kinds.all),
         headings=np.repeat(headings.reshape(-1), 2),
         heading_deg=heading_deg,
+        arc_ticks=np.array([0] * n + ticks, np.int32),
     )
 
 
@@ -406,16 +407,20 @@ def _turn(a: int, b: int) -> int:
     return min((b - a) % 360, (a - b) % 360)
 
 
-def choose_kerbs(n: int, lane_ends: NDArray[np.int32], xy: NDArray[np.float64], wanted: int) -> list[int]:
-    """Lanes on which vehicles may rest, ascending: the lanes left over strongly connect all n nodes that all lanes do.
+def choose_kerbs(plan: NetworkPlan, lane_ends: NDArray[np.int32], xy: NDArray[np.float64]) -> list[int]:
+    """Lanes on which vehicles may rest, ascending: the lanes left over lead from node to node wherever all lanes do.
 
-    Greedy, outermost lanes first: few shortest routes lead over them. Every arc keeps a lane.
+    Greedy, outermost lanes first, for few shortest routes lead over them; those at entrances last. Every arc keeps a
+    lane.
     """
     from scipy import sparse
     from scipy.sparse import csgraph
 
-    middle = xy.mean(axis=0)
-    away = np.abs(xy[lane_ends].mean(axis=1) - middle).max(axis=1)
+    n = len(plan.nodes)
+    away = np.abs(xy - xy.mean(axis=0))
+    outer = (away / np.maximum(away.max(axis=0), 1e-9)).max(axis=1)
+    entrance = np.array([node.kind is StationKind.ENTRANCE for node in plan.nodes])
+    rank = outer[lane_ends].mean(axis=1) - 2 * entrance[lane_ends].any(axis=1)
     open_ = np.ones(len(lane_ends), np.bool_)
 
     def parts() -> int:
@@ -425,8 +430,8 @@ def choose_kerbs(n: int, lane_ends: NDArray[np.int32], xy: NDArray[np.float64], 
 
     least = parts()
     chosen: list[int] = []
-    for lane in np.argsort(-away, kind="stable").tolist():
-        if len(chosen) >= wanted:
+    for lane in np.argsort(-rank, kind="stable").tolist():
+        if len(chosen) >= plan.kerbs:
             break
         a, b = lane_ends[lane]
         back = np.flatnonzero((lane_ends[:, 0] == b) & (lane_ends[:, 1] == a))

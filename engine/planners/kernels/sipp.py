@@ -24,6 +24,8 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 SOLVED, NO_PATH, BUDGET, FULL = 0, 1, 2, 3
+MAX_LEGS = 255
+"""A chain has at most so many goals."""
 
 
 class Work(NamedTuple):
@@ -38,6 +40,8 @@ class Work(NamedTuple):
     edge: I32
     depart: I32
     chain: I32  # next node of the same label (energy search)
+    waited: I32  # how long a node's label has stood by the time it is next expanded (energy search)
+    rest: I64  # cost from reaching goal i to the end, along the goals
     best: I64
     seen: I32
     stamp: I64
@@ -53,12 +57,12 @@ def new_work(nodes: int, labels: int) -> Work:
 
     return Work(
         i32(nodes), i32(nodes), i32(nodes), i32(nodes), np.zeros(nodes, np.int64), i32(nodes), i32(nodes), i32(nodes),
-        i32(nodes), np.zeros(labels, np.int64), i32(labels), np.zeros(1, np.int64),
+        i32(nodes), i32(nodes), np.zeros(MAX_LEGS + 1, np.int64), np.zeros(labels, np.int64), i32(labels), np.zeros(1, np.int64),
         np.zeros(2 * nodes, np.int64), i32(2 * nodes),
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def search_time(
     c: Claims, g: Ground, w: Work, hold: bool, margin: int, start: int, start_gap: int, t0: int,
     goals: I32, stays: I32, pool: I64, slots: I32, shift: int, kind_mj: I64, standby: int, limit: int, out: I64,
@@ -68,8 +72,8 @@ def search_time(
     per_place = g.place_ptr[1] - g.place_ptr[0]
     w.stamp[0] += 1
     stamp = w.stamp[0]
-    # cost from reaching goal i to the end, along the goals
-    rest = np.zeros(n_legs + 1, np.int64)
+    rest = w.rest
+    rest[n_legs - 1] = rest[n_legs] = 0
     for i in range(n_legs - 2, -1, -1):
         least = FAR
         for s in range(g.place_ptr[goals[i]], g.place_ptr[goals[i] + 1]):
@@ -171,7 +175,7 @@ def search_time(
     return NO_PATH
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def dominated(
     w: Work, key: int, stamp: int, t: int, mj: int, moving: bool, standby: int, restart: int, calm: int
 ) -> bool:  # fmt: skip
@@ -192,14 +196,14 @@ def dominated(
     return False
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def add_label(w: Work, n: int, key: int, stamp: int) -> None:
     """Append node n to the labels of a key."""
     w.chain[n] = w.best[key] if w.seen[key] == stamp else -1
     w.best[key], w.seen[key] = n, stamp
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def search_energy(
     c: Claims, g: Ground, w: Work, hold: bool, margin: int, start: int, start_gap: int, t0: int,
     goals: I32, stays: I32, pool: I64, slots: I32, kind_mj: I64, standby: int, restart: int, calm: int, limit: int,
@@ -214,7 +218,8 @@ def search_energy(
     per_place = g.place_ptr[1] - g.place_ptr[0]
     w.stamp[0] += 1
     stamp = w.stamp[0]
-    rest = np.zeros(n_legs + 1, np.int64)
+    rest = w.rest
+    rest[n_legs - 1] = rest[n_legs] = 0
     for i in range(n_legs - 2, -1, -1):
         least = FAR
         for s in range(g.place_ptr[goals[i]], g.place_ptr[goals[i] + 1]):
@@ -224,8 +229,8 @@ def search_energy(
         rest[i] = rest[i + 1] + least + np.int64(stays[i]) * standby
     if pool[slots[0], start] >= FAR:
         return NO_PATH
-    # waited[n]: how long the label of node n has stood by the time it is next expanded
-    waited = np.zeros(len(w.state), np.int32)
+    waited = w.waited
+    waited[0] = 0
     n, size, expanded = 1, 0, 0
     w.state[0], w.gap[0], w.leg[0], w.tick[0], w.energy[0] = start, start_gap, 0, t0, 0
     w.parent[0], w.edge[0], w.depart[0] = -1, -1, t0
@@ -314,7 +319,7 @@ def search_energy(
     return NO_PATH
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def trail(w: Work, node: int, edges: I32, starts: I32, ends: I32) -> int:
     """Steps (edge or STAY, start, end) from the root to a node, in order; returns their number."""
     n = 0

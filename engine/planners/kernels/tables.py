@@ -20,8 +20,8 @@ TICK = 40
 """Bits of the energy part of a packed (ticks, mJ) cost."""
 
 
-@njit(cache=True, nogil=True)
-def _table(place_ptr, edge_from, edge_kind, rev_ptr, rev_edge, cost, goal, poses, out, keys, items):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, _nrt=False)
+def _table(place_ptr, edge_from, rev_ptr, rev_edge, cost, goal, poses, out, keys, items):  # type: ignore[no-untyped-def]
     """Fill `out` with costs to any state of the goal place. `poses`: collapse state pairs."""
     out[:] = FAR
     size = 0
@@ -44,7 +44,7 @@ def _table(place_ptr, edge_from, edge_kind, rev_ptr, rev_edge, cost, goal, poses
                     if before & 1 == 0:
                         continue
                     before >>= 1
-                through = d + cost[edge_kind[e]]
+                through = d + cost[e]
                 if through < out[before]:
                     out[before] = through
                     size = push(keys, items, size, through, before)
@@ -53,15 +53,24 @@ def _table(place_ptr, edge_from, edge_kind, rev_ptr, rev_edge, cost, goal, poses
 class Tables:
     """Backward tables by goal, kept least-recently-used in one array so that kernels take a pool and slot numbers.
 
-    costs: (K,) cost of each primitive in the table's unit. Tables are made on the floor without blocks: a block only
+    costs: (K,) cost of each primitive in the table's unit, or (E,) of each edge when `per_edge`. Tables are made on the floor without blocks: a block only
     makes ways longer, so they stay lower bounds.
     """
 
-    def __init__(self, graph: MotionGraph, costs: NDArray[np.int64], *, poses: bool, max_bytes: int = 400_000_000):
+    def __init__(
+        self,
+        graph: MotionGraph,
+        costs: NDArray[np.int64],
+        *,
+        poses: bool,
+        per_edge: bool = False,
+        max_bytes: int = 400_000_000,
+    ):
         width = graph.n_states // 2 if poses else graph.n_states
         self.shift = 1 if poses else 0
         slots = int(np.clip(max_bytes // (8 * max(width, 1)), 8, max(graph.n_places, 8)))
         self.costs = costs
+        self._edge_costs = costs if per_edge else costs[graph.edge_kind]
         self._graph, self._limit = graph, slots
         self.pool = np.empty((min(slots, 16), width), np.int64)
         self._slot: dict[int, int] = {}
@@ -75,11 +84,16 @@ class Tables:
             at = self._room(keep)
             g = self._graph
             _table(
-                g.place_ptr, g.edge_from, g.edge_kind, g.rev_ptr, g.rev_edge, self.costs, goal, bool(self.shift),
+                g.place_ptr, g.edge_from, g.rev_ptr, g.rev_edge, self._edge_costs, goal, bool(self.shift),
                 self.pool[at], self._keys, self._items,
             )  # fmt: skip
         self._slot[goal] = at
         return at
+
+    def row(self, goal: int) -> NDArray[np.int64]:
+        """Costs of every pose (or state) to a goal place; valid until the next goal is asked for."""
+        at = self.slot(goal)  # may make the pool anew
+        return self.pool[at]
 
     def cost(self, goal: int, state: int) -> int:
         """Cost from a state to a goal place; FAR when unreachable."""
