@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
@@ -165,7 +166,7 @@ class Backlog:
     ):
         self._rng, self._mix, self._backlog, self._left = rng, mix, backlog, limit
         weights = np.array([w for _, _, w in mix])
-        self._bounds = np.cumsum(weights / weights.sum())
+        self._bounds = np.cumsum(weights / weights.sum()).tolist()
         self._missing = backlog
 
     @property
@@ -173,10 +174,9 @@ class Backlog:
         return 0 if self._missing > 0 and self._left != 0 else FOREVER
 
     def take(self) -> tuple[int, int, int]:
-        row = min(int(np.searchsorted(self._bounds, self._rng.random(), side="right")), len(self._mix) - 1)
-        sources, targets, _ = self._mix[row]
-        a = sources[int(self._rng.integers(len(sources)))]
-        b = targets[int(self._rng.integers(len(targets)))]
+        which, origin, target = self._rng.random(3).tolist()
+        sources, targets, _ = self._mix[min(bisect_right(self._bounds, which), len(self._mix) - 1)]
+        a, b = sources[int(origin * len(sources))], targets[int(target * len(targets))]
         self._missing -= 1
         if self._left is not None:
             self._left -= 1

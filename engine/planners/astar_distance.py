@@ -1,7 +1,7 @@
 """Traditional A* on distance (the first baseline of Lian et al. 2024): turns and traffic cost nothing.
 
-Source: Hart, Nilsson & Raphael 1968. Promise: a shortest route in metres, legal by the shared timer; among equally short
-ones it doesn't choose, so it turns more often than it must. Cost: one A* per leg.
+Source: Hart, Nilsson & Raphael 1968. Promise: a shortest route in metres, legal by the shared timer; among equally
+short ones it doesn't choose, so it turns more often than it must. Cost: one A* per leg.
 """
 
 from __future__ import annotations
@@ -38,4 +38,4 @@ class AStarDistance:
     def route(self, view: View, memory: Memory) -> tuple[Sequence[I32], Memory]:
         """See Router."""
         tables = view.search.by_edge("distance", 0, memory["cost"])
-        return route_legs(view, memory["cost"], tables.row), memory
+        return route_legs(view, memory["cost"], tables), memory

@@ -42,4 +42,4 @@ class AStarTurns:
     def route(self, view: View, memory: Memory) -> tuple[Sequence[I32], Memory]:
         """See Router."""
         tables = view.search.by_edge("turns", 0, memory["cost"])
-        return route_legs(view, memory["cost"], tables.row), memory
+        return route_legs(view, memory["cost"], tables), memory

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +36,6 @@ class Rows(Protocol):
 
     def slot(self, goal: int, keep: frozenset[int] | set[int] = frozenset()) -> int:
         """Row of a goal, computed when absent."""
-        ...
-
-    def row(self, goal: int) -> NDArray[np.int64]:
-        """Costs of every pose (or state) to a goal; valid until the next goal is asked for."""
         ...
 
 
@@ -70,8 +66,11 @@ class Search(Protocol):
         """Backward tables over poses with a cost per edge (E,), kept under a name until its version changes."""
         ...
 
-    def through(self, view: View, objective: str, budget: Budget) -> Plan:
-        """The best plan for the view's request against its reservations, by `time` or `energy`."""
+    def through(self, view: View, objective: str, budget: Budget, within: float = 1.0) -> Plan:
+        """The best plan for the view's request against its reservations, by `time` or `energy`.
+
+        within: by time, how many times longer than the best it may take, in eighths.
+        """
         ...
 
 
@@ -172,7 +171,7 @@ class Observed:
 
 
 class Planner(Protocol):
-    """Decides where and when. One that learns also has `refresh_s` and `learn(observed, memory) → memory`."""
+    """Decides where and when."""
 
     promise: Promise
 
@@ -182,6 +181,17 @@ class Planner(Protocol):
 
     def plan(self, view: View, memory: Memory, budget: Budget) -> tuple[Plan, Memory]:
         """Answer the view's request."""
+        ...
+
+
+@runtime_checkable
+class Learner(Protocol):
+    """A planner or router that learns from what arcs took; its memory then has `expected_ms` (P,)."""
+
+    refresh_s: float
+
+    def learn(self, observed: Observed, memory: Memory) -> Memory:
+        """Called at the beginning, with nothing observed, and then after every period."""
         ...
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.planners.base import View
-from engine.planners.kernels.routing import astar, close_taken, new_work
+from engine.planners.base import Rows, View
+from engine.planners.kernels.routing import new_work, route
 from engine.traffic import ground_of
 from engine.world.motion_graph import MotionGraph
 
@@ -16,27 +16,28 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 
-def route_legs(view: View, cost: I64, h: Callable[[int], I64]) -> Sequence[I32]:
+def route_legs(view: View, cost: I64, tables: Rows) -> Sequence[I32]:
     """Edges for every leg of the request, least cost each, or an empty sequence when a leg has no way.
 
-    cost: (E,) · h(goal): (poses,) estimate of the cost to go. Places that another vehicle holds for good are closed.
+    cost: (E,) · tables: what remains to each goal, over poses. Places that another vehicle holds for good are closed.
     """
+    goals = np.array([leg.place for leg in view.request.legs], np.int32)
+    wanted = set(goals.tolist())
+    slots = np.array([tables.slot(goal, wanted) for goal in goals.tolist()], np.int32)
+    return route_by(view, cost, tables.pool, slots, goals)
+
+
+def route_by(view: View, cost: I64, pool: I64, slots: I32, goals: I32) -> Sequence[I32]:
+    """The same with any estimates: row slots[i] of pool for leg i."""
     g, r = view.graph, view.request
-    work = new_work(g.n_states, g.n_edges)
-    ground = ground_of(g, view.blocked)
-    closed = np.empty(g.n_places, np.uint8)
-    close_taken(view.claims, g.n_places, r.vehicle, view.blocked, closed)
-    out = np.empty(g.n_states // 2, np.int32)
-    state, legs = r.state, []
-    for leg in r.legs:
-        n = astar(ground, work, cost, h(leg.place), closed, state, leg.place, out)
-        if n < 0:
-            return []
-        legs.append(out[:n].copy())
-        state = int(g.edge_to[out[n - 1]]) if n else state
-        if leg.stay_ticks:
-            state &= ~1
-    return legs
+    stays = np.array([leg.stay_ticks for leg in r.legs], np.int32)
+    out, upto = np.empty(len(goals) * (g.n_states // 2), np.int32), np.zeros(len(goals), np.int32)
+    found = route(
+        view.claims, ground_of(g, view.blocked), new_work(g.n_states, g.n_edges), cost, pool, slots,
+        np.empty(g.n_places, np.uint8), r.vehicle, r.state, goals, stays, out, upto,
+    )  # fmt: skip
+    ends = upto.tolist()
+    return [out[a:b] for a, b in zip([0, *ends], ends, strict=False)] if found else []
 
 
 def turns_of(graph: MotionGraph) -> I64:

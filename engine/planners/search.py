@@ -65,8 +65,8 @@ class FloorSearch:
         """mJ (least class and load, rolling) of the quickest way from a state to a place on an empty floor."""
         return self.time.cost(goal, state) & ((1 << TICK) - 1)
 
-    def through(self, view: View, objective: str, budget: Budget) -> Plan:
-        """The best plan through the request's legs by `time` or `energy`."""
+    def through(self, view: View, objective: str, budget: Budget, within: float = 1.0) -> Plan:
+        """The best plan through the request's legs by `time` or `energy`; by time at most `within` times as long."""
         r = view.request
         if not r.legs:
             return no_plan(PlanStatus.INCONSISTENT, note="a request without goals")
@@ -92,7 +92,8 @@ class FloorSearch:
             if objective == "time":
                 status = sipp.search_time(
                     view.claims, ground, self._work, hold, view.margin_ticks, r.state, r.gap, r.tick, goals, stays,
-                    tables.pool, slots, tables.shift, kind_mj, standby, budget.expansions, self._out,
+                    tables.pool, slots, tables.shift, kind_mj, standby, int(8 * within),
+                    budget.expansions, self._out,
                 )  # fmt: skip
             else:
                 calm = settled(view.claims)

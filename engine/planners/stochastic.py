@@ -1,8 +1,8 @@
 """Routes by learned arc times (Lian et al. 2024, the paper's own method).
 
 Every arc (i, j) has an expected time E(w_ij), at first its own, later the mean of what vehicles needed in the last
-period. A* over (node, heading): g sums the expected times of the arcs driven, T per turn of 90 degrees and T_o per stop;
-h is the exact expected time to go, by a backward search over the whole network, so the route is optimal for the
+period. A* over (node, heading): g sums the expected times of the arcs driven, T per turn of 90 degrees and T_o per
+stop; h is the exact expected time to go, by a backward search over the whole network, so the route is optimal for the
 expected times. Minimising expectations picks the arc that is probably quicker only where P(X ≤ Y) ≥ ½ goes with
 E(X) ≤ E(Y) (the paper's theorem 1), as for independent normals (p_quicker).
 
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from engine.energy import CostTable
 from engine.planners.base import Memory, Observed, Promise, View
-from engine.planners.routing import entered, lengths_of, route_legs, turns_of
+from engine.planners.routing import entered, lengths_of, route_by, route_legs, turns_of
 from engine.types import Occupancy
 from engine.world.motion_graph import MotionGraph
 
@@ -36,9 +36,10 @@ MS = 1000
 
 @dataclass(frozen=True)
 class Stochastic:
-    """turn_ms: T · stop_ms: T_o · refresh_s: period · min_samples: fewer leave an arc's time as it was · smoothing: weight
-    of the newest mean, below 1 against everybody's changing over to the same empty arcs at once · literal: the printed g
-    and h.
+    """turn_ms: T · stop_ms: T_o · refresh_s: period · min_samples: fewer leave an arc's time as it was.
+
+    smoothing: weight of the newest mean; below 1 not everybody changes over to the same empty arcs at once · literal:
+    the printed g and h.
     """
 
     turn_ms: int = 1000
@@ -88,10 +89,11 @@ class Stochastic:
     def route(self, view: View, memory: Memory) -> tuple[Sequence[I32], Memory]:
         """See Router."""
         if self.literal:
-            expected = memory["expected_ms"]
-            return route_legs(view, memory["cost"], lambda goal: printed_h(view.graph, expected, goal)), memory
+            goals = np.array([leg.place for leg in view.request.legs], np.int32)
+            h = np.stack([printed_h(view.graph, memory["expected_ms"], goal) for goal in goals.tolist()])
+            return route_by(view, memory["cost"], h, np.arange(len(goals), dtype=np.int32), goals), memory
         tables = view.search.by_edge("expected", int(memory["version"]), memory["cost"])
-        return route_legs(view, memory["cost"], tables.row), memory
+        return route_legs(view, memory["cost"], tables), memory
 
 
 def printed_h(graph: MotionGraph, expected_ms: I64, goal: int) -> I64:
@@ -106,8 +108,8 @@ def printed_h(graph: MotionGraph, expected_ms: I64, goal: int) -> I64:
 def p_quicker(mean_x: float, sd_x: float, mean_y: float, sd_y: float) -> float:
     """P(X ≤ Y) for independent normal X and Y: at least ½ exactly when mean_x ≤ mean_y, which is theorem 1.
 
-    For other distributions the theorem fails: of X ~ Exp(1) and Y = 0.8, X is larger in the mean and yet the smaller one
-    with probability 1 − e^−0.8 = 0.55.
+    For other distributions the theorem fails: of X ~ Exp(1) and Y = 0.8, X is larger in the mean and yet the smaller
+    one with probability 1 − e^−0.8 = 0.55.
     """
     spread = math.hypot(sd_x, sd_y)
     if spread == 0:

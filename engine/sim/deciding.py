@@ -23,9 +23,12 @@ STAND_BACK_S = 30.0
 """Seconds for which an order that found no way lets others go first."""
 
 
-def decide(sim: Simulation, broken: bool) -> None:
+def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
+    """Act on what happened; when that is only that loads were picked up and nothing else asks, note it."""
+    news = read_marks(sim)
+    if not (news or broken or more):
+        return
     sim.retry = FOREVER
-    read_marks(sim)
     sim.source.see(len(sim.book.open))
     take_orders(sim)
     if broken:
@@ -71,7 +74,8 @@ def order_row(sim: Simulation, order: int, tick: int | None = None) -> None:
     )  # fmt: skip
 
 
-def read_marks(sim: Simulation) -> None:
+def read_marks(sim: Simulation) -> bool:
+    """Take note of what the kernel tells; False when loads were picked up and nothing else happened."""
     sink = sim.sink
     n = int(sink.filled[3])
     marks = sink.marks[:n].tolist()
@@ -94,6 +98,7 @@ def read_marks(sim: Simulation) -> None:
             recovery.fail(sim, v)
         elif bit == STALLED:
             recovery.unlock(sim, v)
+    return any(mark[2] != PICKED for mark in marks)
 
 
 def order_done(sim: Simulation, tick: int, v: int, order: int) -> None:
@@ -133,17 +138,18 @@ def arrived(sim: Simulation, v: int) -> None:
 def refresh_view(sim: Simulation) -> None:
     f, g = sim.fleet, sim.graph
     sim.view.tick = sim.tick
-    driving = f.edge >= 0
-    np.copyto(sim.view.at, np.where(driving, g.edge_to[np.maximum(f.edge, 0)], f.state))
-    volts = int(sim.parts.battery.voltage_mv[-1])
-    np.copyto(sim.view.charge_mj, f.charge * volts // 1000)
+    # edge -1 reads the last edge, which is then not used
+    np.copyto(sim.view.at, np.where(f.edge >= 0, g.edge_to[f.edge], f.state))
+    np.multiply(f.charge, sim.full_mv, out=sim.view.charge_mj)
+    np.floor_divide(sim.view.charge_mj, 1000, out=sim.view.charge_mj)
 
 
 def idle_vehicles(sim: Simulation) -> list[int]:
     """Vehicles without an order that could be sent somewhere."""
     f = sim.fleet
-    able = (f.order == NONE) & (f.failed == 0) & (f.paused == 0) & (f.task != Task.SENT)
-    return [v for v in np.flatnonzero(able).tolist() if v not in sim.needs_plan]
+    some = np.flatnonzero(f.order < 0)
+    able = some[(f.failed[some] == 0) & (f.paused[some] == 0) & (f.task[some] != int(Task.SENT))]
+    return [v for v in able.tolist() if v not in sim.needs_plan]
 
 
 def free_vehicles(sim: Simulation) -> list[int]:
@@ -157,8 +163,9 @@ def charging(sim: Simulation) -> None:
         sim.queue = []
         return
     f = sim.fleet
-    low = np.array(idle)[f.charge[idle] < sim.levels.good[idle]]
-    sim.must_charge[low] = 1
+    for v in idle:
+        if f.charge[v] < sim.levels.good[v]:
+            sim.must_charge[v] = 1
     if not sim.must_charge.any() and all(home_is_good(sim, v) for v in idle):
         sim.queue = []
         return
@@ -182,7 +189,8 @@ def dispatch(sim: Simulation) -> None:
     """Give open orders to free vehicles; an order that finds no way stands back for a while, the next one is tried."""
     refused: dict[int, str] = {}
     for _ in range(ROUNDS):
-        waiting = [o for o in sim.book.open if sim.not_before.get(o, 0) <= sim.tick]
+        tick = sim.tick
+        waiting = [o for o in sim.book.open if sim.not_before.get(o, 0) <= tick] if sim.not_before else sim.book.open[:]
         free = free_vehicles(sim) if waiting else []
         if not free:
             break
@@ -203,7 +211,7 @@ def dispatch(sim: Simulation) -> None:
 def give(sim: Simulation, a: Assignment) -> bool:
     """Plan an assignment and put it on the floor; False when its vehicle finds no way."""
     book = sim.book
-    pick, drop = planning.service_ticks(sim)
+    pick, drop = sim.view.service_ticks
     legs = (
         Leg(book.from_place[a.order], pick, Activity.PICK, False),
         Leg(book.to_place[a.order], drop, Activity.DROP, True),

@@ -7,9 +7,9 @@ Order within a tick t: intervals that end at t end; deciders are called (outside
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.sim.state import (
     ARRIVED,
     CHARGED,
@@ -62,7 +62,7 @@ U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def noise(seed: int, vehicle: int, draw: int) -> int:
     """A 63-bit hash (splitmix64) of seed, vehicle and draw number."""
     x = (
@@ -75,7 +75,7 @@ def noise(seed: int, vehicle: int, draw: int) -> int:
     return np.int64((x ^ (x >> np.uint64(31))) >> np.uint64(1))
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def close_interval(f: Fleet, g: GraphArrays, sink: Sink, total_mj: I64, v: int, t: int) -> None:
     """Write the open interval of a vehicle to the log, ending at t."""
     if t <= f.t0[v]:
@@ -94,7 +94,7 @@ def close_interval(f: Fleet, g: GraphArrays, sink: Sink, total_mj: I64, v: int, 
     sink.filled[0] = n + 1
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def open_interval(
     f: Fleet, g: GraphArrays, sink: Sink, total_mj: I64, v: int, kind: int, cause: int, blocker: int, t: int, t1: int
 ) -> None:
@@ -106,14 +106,14 @@ def open_interval(
     begin_interval(f, v, kind, cause, blocker, t, t1)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def begin_interval(f: Fleet, v: int, kind: int, cause: int, blocker: int, t: int, t1: int) -> None:
     """Set what the open interval is."""
     f.kind[v], f.cause[v], f.blocker[v], f.t0[v], f.t1[v] = kind, cause, blocker, t, t1
     f.of_order[v], f.of_task[v] = f.order[v], f.task[v]
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def mark(f: Fleet, sink: Sink, clock: I64, v: int, bit: int, t: int) -> None:
     """Tell the deciders."""
     clock[DECIDE] = 1
@@ -122,7 +122,7 @@ def mark(f: Fleet, sink: Sink, clock: I64, v: int, bit: int, t: int) -> None:
     sink.filled[3] = n + 1
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def leave(c: Claims, clock: I64, linger: I32, slot: int) -> None:
     """A vehicle has left a claimed place: the claim goes now, or after the margin."""
     if clock[MARGIN] == 0:
@@ -132,7 +132,7 @@ def leave(c: Claims, clock: I64, linger: I32, slot: int) -> None:
         clock[LINGERING] += 1
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def finish(
     f: Fleet, g: GraphArrays, c: Claims, sink: Sink, total_mj: I64, clock: I64, linger: I32, v: int, t: int
 ) -> None:
@@ -165,7 +165,7 @@ def finish(
         mark(f, sink, clock, v, ARRIVED, t)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def first(c: Claims, slot: int) -> int:
     """NONE when a claim is the first of its place, but for its owner's own margin; else the owner of the one before."""
     if slot < 0 or c.owner[c.prev[slot]] == c.owner[slot]:
@@ -173,7 +173,7 @@ def first(c: Claims, slot: int) -> int:
     return c.owner[c.prev[slot]]
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def due(
     f: Fleet,
     p: Steps,
@@ -245,7 +245,7 @@ def due(
     return True
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def motion_now(f: Fleet, p: Steps, g: GraphArrays, v: int, t: int) -> int:
     """Edge of a vehicle's next motion at t: from rest, unless it came rolling into this very tick."""
     e = p.edge[v, f.step[v]]
@@ -253,14 +253,14 @@ def motion_now(f: Fleet, p: Steps, g: GraphArrays, v: int, t: int) -> int:
     return e if (g.edge_from[e] & 1 == 1) == rolling else g.edge_twin[e]
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def voltage(levels: Levels, charge: int, capacity: int) -> int:
     """Voltage in mV at a charge, from the battery's table."""
     last = len(levels.voltage_mv) - 1
     return levels.voltage_mv[min(max(charge * last // capacity, 0), last)]
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def start_motion(
     f: Fleet, p: Steps, g: GraphArrays, c: Claims, sink: Sink, total_mj: I64, clock: I64, v: int, t: int
 ) -> None:
@@ -287,7 +287,7 @@ def start_motion(
         f.sweep[v, 0], f.sweep[v, 1] = p.sweep0[v, k], p.sweep1[v, k]
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def cross(f: Fleet, p: Steps, g: GraphArrays, v: int, w: int) -> bool:
     """True when the next motion of w is the other diagonal of the block over which v drives next."""
     at, b = g.sweep_ptr[p.edge[v, f.step[v]]], p.edge[w, f.step[w]]
@@ -296,7 +296,7 @@ def cross(f: Fleet, p: Steps, g: GraphArrays, v: int, w: int) -> bool:
     return (x == here and y == there) or (x == there and y == here)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def start_steps(
     f: Fleet,
     p: Steps,
@@ -364,7 +364,7 @@ def start_steps(
                 open_interval(f, g, sink, total_mj, v, WAIT, C_VEHICLE, wait_for[v], t, FOREVER)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def show_states(f: Fleet, sink: Sink, t: int) -> None:
     """A states row for every vehicle whose state, task, order or reason changed."""
     for v in range(len(f.state)):
@@ -392,7 +392,7 @@ def show_states(f: Fleet, sink: Sink, t: int) -> None:
             sink.filled[2] += 1
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def draw_energy(
     f: Fleet, g: GraphArrays, sink: Sink, mj: I64, standby_mj: I64, levels: Levels, clock: I64, t: int
 ) -> None:
@@ -436,7 +436,7 @@ def draw_energy(
             mark(f, sink, clock, v, EMPTY, t + 1)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def sample(f: Fleet, sink: Sink, levels: Levels, t: int) -> None:
     """A battery row for every vehicle."""
     for v in range(len(f.state)):
@@ -449,7 +449,7 @@ def sample(f: Fleet, sink: Sink, levels: Levels, t: int) -> None:
         sink.filled[1] += 1
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def run(
     f: Fleet,
     p: Steps,
@@ -502,7 +502,7 @@ def run(
         clock[HALF] = 0
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def digest(lanes: U64, rows: I64, count: int) -> None:
     """Fold rows of integers into two 64-bit lanes, in order; independent of how rows are batched."""
     a, b = lanes[0], lanes[1]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.planners.base import Observed
+from engine.planners.base import Learner, Observed
 from engine.traffic import ArcTimes, new_arc_times, observe
 from engine.types import FOREVER
 from engine.units import ticks_from_s
@@ -29,10 +29,11 @@ class Learning:
     """
 
     def __init__(self, sim: Simulation):
-        period_s = getattr(sim.parts.planner, "refresh_s", None)
-        self.learns = period_s is not None
-        self.on = self.learns or isinstance(sim.world, NetworkWorld)
-        self.period = max(1, ticks_from_s(period_s or PERIOD_S, sim.tick_s))
+        planner: Any = sim.parts.planner
+        router = getattr(planner, "router", planner)
+        self.learner = router if isinstance(router, Learner) else None
+        self.on = self.learner is not None or isinstance(sim.world, NetworkWorld)
+        self.period = max(1, ticks_from_s(self.learner.refresh_s if self.learner else PERIOD_S, sim.tick_s))
         self.times: ArcTimes = new_arc_times(sim.graph.arc_ticks, sim.n)
         self.next_tick = self.period * (sim.tick // self.period + 1) if self.on else FOREVER
 
@@ -44,9 +45,9 @@ class Learning:
 
 def begin(sim: Simulation) -> None:
     """Let a planner that learns know that nothing was observed yet."""
-    if sim.learning.learns:
+    if sim.learning.learner is not None:
         nothing = np.zeros(sim.graph.n_places, np.int64)
-        sim.memory = sim.parts.planner.learn(Observed(nothing, nothing, sim.tick_s), sim.memory)
+        sim.memory = sim.learning.learner.learn(Observed(nothing, nothing, sim.tick_s), sim.memory)
 
 
 def refresh(sim: Simulation) -> None:
@@ -56,8 +57,8 @@ def refresh(sim: Simulation) -> None:
     learning.next_tick = sim.tick + learning.period
     tick_ms = sim.tick_s * MS
     expected: Any = np.rint(times.own * tick_ms)
-    if learning.learns:
-        sim.memory = sim.parts.planner.learn(Observed(times.samples, times.total, sim.tick_s), sim.memory)
+    if learning.learner is not None:
+        sim.memory = learning.learner.learn(Observed(times.samples, times.total, sim.tick_s), sim.memory)
         expected = sim.memory["expected_ms"]
     n = np.maximum(times.samples, 1)
     mean = times.total / n

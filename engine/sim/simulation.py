@@ -96,6 +96,7 @@ class Simulation:
         self.book = OrderBook()
         self.source, self.faults = parts.source, parts.faults
         self.search = parts.search
+        self.full_mv = int(parts.battery.voltage_mv[-1])
         self.memory: Memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.levels = self._levels(n)
         self.clock = np.zeros(LINGERING + 1, np.int64)
@@ -257,8 +258,9 @@ class Simulation:
                 learning.refresh(self)
             arrived = deciding.take_orders(self) if self.source.next_tick <= self.tick else False
             broken = self.faults.next_tick <= self.tick
-            if status == 1 or arrived or broken or self.retry <= self.tick:
-                deciding.decide(self, broken)
+            again = self.retry <= self.tick
+            if status == 1 or arrived or broken or again:
+                deciding.decide(self, broken, arrived or again)
             if status == 0 and self.tick >= target:
                 break
         return self.tick - first

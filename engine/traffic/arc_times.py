@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.types import NONE, PRIMITIVE_0, Activity
 
 I32 = NDArray[np.int32]
@@ -51,7 +51,7 @@ def new_arc_times(own: I32, vehicles: int) -> ArcTimes:
     return ArcTimes(np.asarray(own, np.int32), sums(), sums(), sums(), sums(), visit, zeros, zeros.copy())
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def observe(a: ArcTimes, rows: I64, n: int, visit_of: I32, ticks_of: I32) -> int:
     """Take n motion rows (columns of the log's motions) in their order, at any batch size.
 
@@ -60,14 +60,14 @@ def observe(a: ArcTimes, rows: I64, n: int, visit_of: I32, ticks_of: I32) -> int
     found = 0
     for i in range(n):
         v, kind, t0, t1, here, there = rows[i, 0], rows[i, 1], rows[i, 4], rows[i, 5], rows[i, 6], rows[i, 7]
-        ends = kind == PICK or kind == DROP
+        ends = kind in (PICK, DROP)
         if kind >= P0 and here != there:
             a.busy[here] += t1 - a.since[v]
             a.since[v] = t0
             ends = a.own[there] > 0
         elif kind == WAIT:
             a.waited[v] += t1 - t0
-        elif kind == REST or kind == CHARGE:
+        elif kind in (REST, CHARGE):
             a.visit[v] = NONE
         if ends:
             p = a.visit[v]

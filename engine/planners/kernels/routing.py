@@ -1,8 +1,8 @@
 """A* over poses (place and heading) with a cost per edge, for routers: where to drive, blind to when.
 
-Source: Hart, Nilsson & Raphael 1968. Poses join the standing and the rolling state of a place and heading; an edge costs
-the same from both. `h` is any array over poses: with a consistent one the route is optimal, with another the first one
-found, as in the paper's lists. Ties go to whoever came first. Cost: a heap operation per edge seen.
+Source: Hart, Nilsson & Raphael 1968. Poses join the standing and the rolling state of a place and heading; an edge
+costs the same from both. `h` is any array over poses: with a consistent one the route is optimal, with another the
+first one found, as in the paper's lists. Ties go to whoever came first. Cost: a heap operation per edge seen.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.planners.kernels.heap import drop_first, push
 from engine.planners.kernels.tables import FAR
 from engine.traffic import Claims, Ground
@@ -52,7 +52,7 @@ def new_work(n_states: int, n_edges: int) -> Work:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def close_taken(c: Claims, n_places: int, owner: int, blocked: U8, closed: U8) -> None:
     """Mark the places that are blocked, or in which somebody else comes to stay with no end known."""
     for p in range(n_places):
@@ -62,7 +62,7 @@ def close_taken(c: Claims, n_places: int, owner: int, blocked: U8, closed: U8) -
         closed[p] = blocked[p] or (slot != p and c.owner[slot] != owner and c.end[slot] >= FOREVER)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def astar(g: Ground, w: Work, cost: I64, h: I64, closed: U8, start: int, goal: int, out: I32) -> int:
     """Edges from a state to a goal place into `out`; their number, or -1 when there is no way.
 
@@ -110,3 +110,27 @@ def astar(g: Ground, w: Work, cost: I64, h: I64, closed: U8, start: int, goal: i
             size = push(w.keys, w.items, size, ((through + h[to]) << ORDER_BITS) + arrivals, to)
             arrivals += 1
     return -1
+
+
+@lean
+def route(
+    c: Claims, g: Ground, w: Work, cost: I64, pool: I64, slots: I32, closed: U8, owner: int, start: int, goals: I32,
+    stays: I32, out: I32, upto: I32,
+) -> bool:  # fmt: skip
+    """Edges through all goals into `out`, those of leg i before upto[i]; False when a leg has no way.
+
+    h of leg i is row slots[i] of pool.
+    """
+    close_taken(c, len(closed), owner, g.blocked, closed)
+    at, n = start, 0
+    for i in range(len(goals)):
+        k = astar(g, w, cost, pool[slots[i]], closed, at, goals[i], out[n:])
+        if k < 0:
+            return False
+        n += k
+        upto[i] = n
+        if k > 0:
+            at = g.edge_to[out[n - 1]]
+        if stays[i] > 0:
+            at &= ~1
+    return True

@@ -7,11 +7,14 @@ pair stopped/moving counts as one, taken as moving: a lower bound); `energy` is 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.planners.kernels.heap import drop_first, push
 from engine.world.motion_graph import MotionGraph
+
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
 
 FAR = np.int64(2**62)
 """Cost of a state from which the goal can't be reached."""
@@ -20,8 +23,11 @@ TICK = 40
 """Bits of the energy part of a packed (ticks, mJ) cost."""
 
 
-@njit(cache=True, nogil=True, _nrt=False)
-def _table(place_ptr, edge_from, rev_ptr, rev_edge, cost, goal, poses, out, keys, items):  # type: ignore[no-untyped-def]
+@lean
+def _table(
+    place_ptr: I32, edge_from: I32, rev_ptr: I32, rev_edge: I32, cost: I64, goal: int, poses: bool, out: I64, keys: I64,
+    items: I32,
+) -> None:  # fmt: skip
     """Fill `out` with costs to any state of the goal place. `poses`: collapse state pairs."""
     out[:] = FAR
     size = 0
@@ -53,8 +59,8 @@ def _table(place_ptr, edge_from, rev_ptr, rev_edge, cost, goal, poses, out, keys
 class Tables:
     """Backward tables by goal, kept least-recently-used in one array so that kernels take a pool and slot numbers.
 
-    costs: (K,) cost of each primitive in the table's unit, or (E,) of each edge when `per_edge`. Tables are made on the floor without blocks: a block only
-    makes ways longer, so they stay lower bounds.
+    costs: (K,) cost of each primitive in the table's unit, or (E,) of each edge when `per_edge`. Tables are made on the
+    floor without blocks: a block only makes ways longer, so they stay lower bounds.
     """
 
     def __init__(
@@ -89,11 +95,6 @@ class Tables:
             )  # fmt: skip
         self._slot[goal] = at
         return at
-
-    def row(self, goal: int) -> NDArray[np.int64]:
-        """Costs of every pose (or state) to a goal place; valid until the next goal is asked for."""
-        at = self.slot(goal)  # may make the pool anew
-        return self.pool[at]
 
     def cost(self, goal: int, state: int) -> int:
         """Cost from a state to a goal place; FAR when unreachable."""
