@@ -26,9 +26,10 @@ STAND_BACK_S = 30.0
 def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
     """Act on what happened; when that is only that loads were picked up and nothing else asks, note it."""
     news = read_marks(sim)
-    if not (news or broken or more):
-        return
     sim.retry = FOREVER
+    if not (news or broken or more or unplanned_work(sim)):
+        planning.retime(sim)
+        return
     sim.source.see(len(sim.book.open))
     take_orders(sim)
     if broken:

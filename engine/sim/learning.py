@@ -40,7 +40,7 @@ class Learning:
     def see(self, rows: NDArray[np.int64], n: int) -> None:
         """Take n motion rows."""
         if self.on:
-            observe(self.times, rows, n, _NOTHING, _NOTHING)
+            observe(self.times, rows, n, _NOTHING, _NOTHING, _NOTHING)
 
 
 def begin(sim: Simulation) -> None:

@@ -15,8 +15,6 @@ from engine.sim.kernels import digest
 from engine.sim.state import Sink
 
 _NUMPY = {"int8": np.int8, "int16": np.int16, "int32": np.int32, "int64": np.int64, "uint8": np.uint8}
-CHAIN_ROWS = 256
-"""Single rows go into the digest so many at a time."""
 _DRAINED = ("motions", "battery", "states")
 
 
@@ -36,7 +34,6 @@ class Ledger:
         self.rows: dict[str, int] = dict.fromkeys(TABLES, 0)
         self._lanes = {name: np.array([1, 2], np.uint64) for name in _DRAINED}
         self._chain = b""
-        self._unchained: list[list[Any]] = []
         self._pending: dict[str, list[Sequence[Any]]] = {}
 
     def drain(self, sink: Sink) -> None:
@@ -60,22 +57,12 @@ class Ledger:
         """One row of a table, values in the order of its columns."""
         if table not in NOT_IN_DIGEST:
             skip = OUTSIDE_DIGEST.get(table)
-            if skip is None:
-                self._unchained.append([table, *values])
-            else:
-                kept = [v for c, v in zip(TABLES[table], values, strict=True) if c not in skip]
-                self._unchained.append([table, *kept])
-            if len(self._unchained) == CHAIN_ROWS:
-                self._chain = self._chained()
-                self._unchained.clear()
+            kept = values if skip is None else [v for c, v in zip(TABLES[table], values, strict=True) if c not in skip]
+            text = _ENCODE([table, *kept])
+            self._chain = hashlib.blake2b(self._chain + text.encode(), digest_size=16).digest()
         self.rows[table] += 1
         if self.recorder is not None:
             self._pending.setdefault(table, []).append(values)
-
-    def _chained(self) -> bytes:
-        """The chain with the rows that are not yet in it."""
-        text = _ENCODE(self._unchained)
-        return hashlib.blake2b(self._chain + text.encode(), digest_size=16).digest()
 
     def flush(self) -> None:
         """Hand the single rows to the recorder."""
@@ -92,14 +79,13 @@ class Ledger:
     def digest(self) -> str:
         """Hex digest of all rows so far."""
         parts = b"".join(self._lanes[name].tobytes() for name in _DRAINED)
-        return hashlib.blake2b(parts + self._chained(), digest_size=16).hexdigest()
+        return hashlib.blake2b(parts + self._chain, digest_size=16).hexdigest()
 
     def to_plain(self) -> dict[str, Any]:
         """Plain values for a checkpoint; call after `flush`."""
         return {
             "rows": self.rows,
             "chain": self._chain.hex(),
-            "unchained": json.loads(_ENCODE(self._unchained)),
             "lanes": {name: [int(x) for x in lane] for name, lane in self._lanes.items()},
         }
 
@@ -107,7 +93,6 @@ class Ledger:
         """Undo `to_plain`."""
         self.rows = {**dict.fromkeys(TABLES, 0), **plain["rows"]}
         self._chain = bytes.fromhex(plain["chain"])
-        self._unchained = list(plain["unchained"])
         self._lanes = {name: np.array(lane, np.uint64) for name, lane in plain["lanes"].items()}
 
 

@@ -2,10 +2,11 @@
 
 from engine.traffic.arc_times import ArcTimes, new_arc_times, observe
 from engine.traffic.claims import Claims, claim, gap_at, gap_end, grown, new_claims, release
-from engine.traffic.departures import HORIZON, STAY, GraphArrays, Ground, departure, graph_arrays, ground_of
+from engine.traffic.departures import DETOUR, HORIZON, STAY, GraphArrays, Ground, departure, graph_arrays, ground_of
 from engine.traffic.steps import FAR, Steps, commit, forget, lift, new_steps, put_back, retime, wider
 
 __all__ = [
+    "DETOUR",
     "FAR",
     "HORIZON",
     "STAY",

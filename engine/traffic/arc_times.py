@@ -52,10 +52,11 @@ def new_arc_times(own: I32, vehicles: int) -> ArcTimes:
 
 
 @lean
-def observe(a: ArcTimes, rows: I64, n: int, visit_of: I32, ticks_of: I32) -> int:
+def observe(a: ArcTimes, rows: I64, n: int, visit_of: I32, ticks_of: I32, ended: I32) -> int:
     """Take n motion rows (columns of the log's motions) in their order, at any batch size.
 
-    Finished visits also go to visit_of (place) and ticks_of, as many as these have room for; returns their number.
+    Finished visits also go to visit_of (place), ticks_of and ended (tick), as many as these have room for; returns
+    their number.
     """
     found = 0
     for i in range(n):
@@ -77,7 +78,7 @@ def observe(a: ArcTimes, rows: I64, n: int, visit_of: I32, ticks_of: I32) -> int
                 a.total[p] += ticks
                 a.squares[p] += ticks * ticks
                 if found < len(visit_of):
-                    visit_of[found], ticks_of[found] = p, ticks
+                    visit_of[found], ticks_of[found], ended[found] = p, ticks, t0
                 found += 1
             a.visit[v] = there if kind >= P0 else NONE
             a.waited[v] = 0

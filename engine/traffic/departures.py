@@ -18,6 +18,9 @@ from engine.world.motion_graph import MotionGraph
 
 I32 = NDArray[np.int32]
 
+DETOUR = "solved after a detour"
+"""What a plan says when the route timer had to leave the router's route."""
+
 STAY = -2
 """Edge code of a stay at a goal."""
 

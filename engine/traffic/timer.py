@@ -20,13 +20,12 @@ from engine.compiled import lean
 from engine.energy import CostTable
 from engine.planners.base import Budget, Memory, Plan, Promise, Router, View, no_plan
 from engine.traffic.claims import Claims, gap_end
-from engine.traffic.departures import HORIZON, STAY, Ground, departure, ground_of
+from engine.traffic.departures import DETOUR, HORIZON, STAY, Ground, departure, ground_of
 from engine.types import FOREVER, Occupancy, PlanStatus
 from engine.world.motion_graph import MotionGraph
 
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
-DETOUR = "solved after a detour"
 DETOUR_WITHIN = 1.25
 """A detour takes at most so many times as long as the best one: exact search would take most of the planning time."""
 
