@@ -41,10 +41,13 @@ CHARGING: dict[str, str] = {
 DEMAND: dict[str, str] = {
     "xu2025": "engine.energy.xu2025:Xu2025",
     "constant": "engine.energy.constant:Constant",
+    "drive": "engine.energy.drive:Drive",
+    "drive-paper": "engine.energy.drive:PaperDrive",
 }
 BATTERIES: dict[str, str] = {
     "coulomb": "engine.energy.battery:coulomb",
     "linear": "engine.energy.battery:linear",
+    "tremblay": "engine.energy.tremblay:tremblay",
 }
 
 
@@ -65,7 +68,12 @@ def demand_model(name: str, scenario: Scenario) -> Any:
     if name == "constant":
         numbers = parameters_over(parameter_sets.constant(), given, name)
         return cls(running_w=scenario.battery.capacity_wh * 3600 * numbers["percent_per_s"] / 100)
-    return cls(**parameters_over(parameter_sets.xu2025(scenario.motion.speed_mps), given, name))
+    defaults = {
+        "xu2025": parameter_sets.xu2025,
+        "drive": parameter_sets.drive,
+        "drive-paper": parameter_sets.drive_paper,
+    }
+    return cls(**parameters_over(defaults[name](scenario.motion.speed_mps), given, name))
 
 
 def costs_of(scenario: Scenario, world: World, demand: str | None = None) -> Any:

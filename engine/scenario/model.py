@@ -166,6 +166,10 @@ class BatterySection(Section):
     model: str = Field(default="coulomb", min_length=1, description="Battery model, joules to state of charge")
     capacity_wh: Positive = Field(default=1000.0, description="Energy of a full battery")
     voltage_v: Positive = Field(default=48.0, description="Nominal voltage")
+    exchange: Literal["none", "swap"] = Field(
+        default="none",
+        description="swap: who loads or unloads at an entrance gets a full battery when below charging.good",
+    )
     initial_soc: SoC | tuple[SoC, SoC] = Field(
         default=1.0, description="State of charge at the start; [low, high] is drawn per vehicle from the seed"
     )

@@ -10,7 +10,7 @@ from engine.dispatch.base import NOBODY_FREE
 from engine.planners.base import Leg
 from engine.sim import planning, recovery
 from engine.sim.state import ARRIVED, CHARGED, EMPTY, ORDER_DONE, PICKED, STALLED
-from engine.types import FOREVER, NONE, Activity, OrderState, Task
+from engine.types import FOREVER, NONE, Activity, OrderState, StationKind, Task
 from engine.units import ticks_from_s
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ def read_marks(sim: Simulation) -> bool:
         if bit == PICKED:
             sim.book.state[order] = int(OrderState.PICKED)
             order_row(sim, order, tick)
+            exchange(sim, v, sim.book.from_station[order])
         elif bit == ORDER_DONE:
             order_done(sim, tick, v, order)
         elif bit == ARRIVED:
@@ -111,12 +112,24 @@ def order_done(sim: Simulation, tick: int, v: int, order: int) -> None:
     target = sim.world.station(book.to_station[order]).name
     sim.say("delivered", f"vehicle {v} has brought order {order} to {target}", 0, v, order, book.to_place[order])
     f.order[v] = NONE
+    exchange(sim, v, book.to_station[order])
     check_low(sim, v)
     at_charger = sim.home[v] != NONE and sim.view.is_charger[sim.home[v]]
     f.task[v] = int(Task.TO_CHARGER if sim.must_charge[v] and at_charger else Task.TO_REST)
 
 
+def exchange(sim: Simulation, v: int, station: int) -> None:
+    """Where batteries are swapped, change that of a vehicle just served at an entrance when it is low."""
+    low = sim.fleet.charge[v] < sim.levels.good[v]
+    if sim.swaps and low and sim.world.station(station).kind is StationKind.ENTRANCE:
+        soc = sim.fleet.charge[v] / sim.parts.battery.capacity_mc
+        sim.fleet.charge[v], sim.fleet.rest[v] = sim.parts.battery.capacity_mc, 0
+        sim.say("battery changed", f"vehicle {v} got a full battery for one at {soc:.0%}", 0, v)
+
+
 def check_low(sim: Simulation, v: int) -> None:
+    if sim.swaps:
+        return  # every order leads to an entrance
     soc = sim.fleet.charge[v] / sim.parts.battery.capacity_mc
     if sim.charge_later[v] or soc < sim.thresholds["good"]:
         sim.charge_later[v] = 0
@@ -164,7 +177,7 @@ def charging(sim: Simulation) -> None:
         sim.queue = []
         return
     f = sim.fleet
-    for v in idle:
+    for v in idle if not sim.swaps else ():
         if f.charge[v] < sim.levels.good[v]:
             sim.must_charge[v] = 1
     if not sim.must_charge.any() and all(home_is_good(sim, v) for v in idle):

@@ -96,6 +96,7 @@ class Simulation:
         self.book = OrderBook()
         self.source, self.faults = parts.source, parts.faults
         self.search = parts.search
+        self.swaps = parts.scenario.battery.exchange == "swap"
         self.full_mv = int(parts.battery.voltage_mv[-1])
         self.memory: Memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.levels = self._levels(n)

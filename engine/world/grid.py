@@ -124,7 +124,8 @@ def _primitives(motion: GridMotion, n_head: int) -> tuple[tuple[Primitive, ...],
     if motion.turning == "pivot":
         for moving in (1, 0):
             index[("pivot", step_deg, moving, 0)] = len(out)
-            out.append(Primitive("pivot" if not moving else "stop pivot", 0, step_deg, False, True, motion.turn_ticks))
+            name = "stop pivot" if moving else "pivot"
+            out.append(Primitive(name, 0, step_deg, False, True, motion.turn_ticks, bool(moving)))
     return tuple(out), index
 
 

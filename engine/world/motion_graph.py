@@ -22,7 +22,7 @@ class Primitive:
     """One kind of motion: what its time and energy depend on.
 
     name: field's word, unique in a graph · length_mm: distance driven · turn_deg: change of heading, 0…180
-    · starts: begins from standstill · pivot: turns on the spot · ticks: duration.
+    · starts: begins from standstill · pivot: turns on the spot · ticks: duration · stops: brakes before it begins.
     """
 
     name: str
@@ -31,6 +31,7 @@ class Primitive:
     starts: bool
     pivot: bool
     ticks: int
+    stops: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -319,7 +319,8 @@ class _Kinds:
             if any(p.name == name for p in self.all):
                 name = f"{name} in {ticks} ticks"
             self._index[key] = len(self.all)
-            self.all.append(Primitive(name, length_mm, turn_deg, starts and not pivot, pivot, ticks))
+            stops = pivot and not starts
+            self.all.append(Primitive(name, length_mm, turn_deg, starts and not pivot, pivot, ticks, stops))
         return self._index[key]
 
 

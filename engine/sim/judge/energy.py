@@ -18,6 +18,10 @@ from engine.sim.judge.record import I64, Record, RunLog
 from engine.types import COMPONENTS, Activity, Component
 from engine.world.motion_graph import MotionGraph, Primitive
 
+_DRIVE = {
+    "wheel_m": 0.1, "track_m": 0.6, "gear": 30.0, "gear_efficiency": 0.85, "r_ohm": 0.4898, "ce_vs": 0.0327,
+    "mu": 0.015, "g": 9.81, "accel_mps2": 0.5, "regen": 0.0, "length_m": 0.6, "width_m": 0.6, "standby_w": 20.0,
+}  # fmt: skip
 _CHARGING = (Component.CHARGED, Component.CHARGER_LOSS)
 
 
@@ -43,6 +47,8 @@ def costs(scenario: Scenario, graph: MotionGraph) -> I64 | None:
         for load, mass in enumerate((fleet.mass_kg, fleet.mass_kg + fleet.payload_kg)):
             if scenario.energy.demand == "xu2025":
                 parts = _xu2025(primitive, mass, scenario)
+            elif scenario.energy.demand == "drive":
+                parts = _drive(primitive, mass, scenario)
             elif scenario.energy.demand == "constant":
                 percent = scenario.energy.parameters.get("percent_per_s", 1.0)
                 joules = percent / 100 * scenario.battery.capacity_wh * 3600 * primitive.ticks * scenario.time.tick_s
@@ -67,9 +73,58 @@ def _xu2025(primitive: Primitive, mass_kg: float, scenario: Scenario) -> dict[Co
     }
 
 
+def _drive(primitive: Primitive, mass_kg: float, scenario: Scenario) -> dict[Component, float]:
+    """Two motors with R and C_e over a gear, at constant acceleration, phase by phase."""
+    given = {**_DRIVE, "v_mps": scenario.motion.speed_mps, **scenario.energy.parameters}
+    eff, v, accel, track = given["gear_efficiency"], given["v_mps"], given["accel_mps2"], given["track_m"]
+    drag = given["mu"] * mass_kg * given["g"]
+    ampere_per_n = given["wheel_m"] / (2 * given["gear"] * given["ce_vs"])
+    took_s = primitive.ticks * scenario.time.tick_s
+
+    def heat(force: float, seconds: float) -> float:
+        amps = force * ampere_per_n * (1 / eff if force > 0 else eff)
+        return 2 * given["r_ohm"] * amps * amps * seconds
+
+    def braked(force: float, metres: float, seconds: float) -> float:
+        return max(force * metres * eff - heat(-force, seconds), 0.0) if force > 0 else 0.0
+
+    inertia = mass_kg * (given["length_m"] ** 2 + given["width_m"] ** 2) / 12
+    angle, metres, back = math.radians(primitive.turn_deg), primitive.length_mm / 1000, 0.0
+    to_speed_m, to_speed_s = v * v / (2 * accel), v / accel
+    if primitive.pivot:
+        # thirds of the time: faster, steady, slower; the steady speed is 3/2 of the mean
+        third, omega = took_s / 3, 1.5 * angle / took_s
+        # forces as if both wheels pulled straight on: a moment of f·track/2
+        swing, drag_there = 2 * inertia * omega / third / track, drag
+        out = {
+            Component.TURNING: inertia * omega * omega / 2 / eff,
+            Component.ROLLING: drag * track / 2 * angle / eff,
+            Component.COPPER: heat(drag_there + swing, third) + heat(drag_there, third),
+        }
+        if swing > drag_there:
+            out[Component.ROLLING] *= 3 / 4
+            back += braked(swing - drag_there, track / 2 * angle / 4, third)
+        else:
+            out[Component.TURNING] -= swing * track / 2 * angle / 4 / eff
+            out[Component.COPPER] += heat(drag_there - swing, third)
+    else:
+        out = {
+            Component.ROLLING: drag * metres / eff,
+            Component.TURNING: inertia * (angle / took_s) ** 2 / 2 / eff,
+            Component.COPPER: heat(drag, metres / v),
+        }
+    if primitive.starts:
+        out[Component.STARTING] = mass_kg * v * v / 2 / eff
+        out[Component.COPPER] += heat(drag + mass_kg * accel, to_speed_s) - heat(drag, to_speed_m / v)
+    if primitive.stops:
+        back += braked(mass_kg * accel - drag, to_speed_m, to_speed_s)
+    out[Component.RECOVERED] = -min(given["regen"] * back, sum(out.values()))
+    return out
+
+
 def standby_mj(scenario: Scenario) -> int:
     """Standby energy per tick."""
-    fallback = 30.0 if scenario.energy.demand == "xu2025" else 0.0
+    fallback = {"xu2025": 30.0, "drive": _DRIVE["standby_w"]}.get(scenario.energy.demand, 0.0)
     return round(scenario.energy.parameters.get("standby_w", fallback) * scenario.time.tick_s * 1000)
 
 
