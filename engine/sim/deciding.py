@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from engine.dispatch.base import Assignment
     from engine.sim.simulation import Simulation
 
+SENT = int(Task.SENT)
 ROUNDS = 4
 """How many times orders are given out anew at one tick when some of them find no way."""
 STAND_BACK_S = 30.0
@@ -161,9 +162,8 @@ def refresh_view(sim: Simulation) -> None:
 def idle_vehicles(sim: Simulation) -> list[int]:
     """Vehicles without an order that could be sent somewhere."""
     f = sim.fleet
-    some = np.flatnonzero(f.order < 0)
-    able = some[(f.failed[some] == 0) & (f.paused[some] == 0) & (f.task[some] != int(Task.SENT))]
-    return [v for v in able.tolist() if v not in sim.needs_plan]
+    idle = [v for v, order in enumerate(f.order.tolist()) if order < 0]
+    return [v for v in idle if not (f.failed[v] or f.paused[v] or f.task[v] == SENT or v in sim.needs_plan)]
 
 
 def free_vehicles(sim: Simulation) -> list[int]:
