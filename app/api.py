@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +24,7 @@ from starlette.exceptions import HTTPException
 from starlette.websockets import WebSocketDisconnect
 
 from app.jsonable import plain
+from app.library import ImportOptions, Library, NoSuchScenario, Upload
 from app.live import REPLAY, encode_frame
 from app.runs import NoSuchRun, RunManager
 from app.security import VIEWER_CSP
@@ -39,6 +41,7 @@ STATUS_S = 0.5
 SOCKET_MESSAGE_LIMIT = 4096
 NO_STORE = {"cache-control": "no-store"}
 DOWNLOADS = ("rrd", "csv", "parquet")
+IMPORT_KEYS = ("agents", "planner", "objective", "seed")
 
 Seconds = Annotated[float | None, Query(ge=0, le=1e9, allow_inf_nan=False)]
 Json = Annotated[dict[str, Any], Body()]
@@ -50,7 +53,7 @@ def answer(value: Any, status: int = 200) -> Response:
 
 
 def status_of(error: WattlaneError) -> int:
-    if isinstance(error, NoSuchRun):
+    if isinstance(error, NoSuchRun | NoSuchScenario):
         return 404
     return 400 if isinstance(error, BadInput) else 409
 
@@ -133,12 +136,6 @@ def add_run_routes(server: FastAPI, manager: RunManager) -> None:
     def runs() -> Response:
         return answer(manager.list())
 
-    @server.get("/api/scenarios")
-    def scenarios() -> Response:
-        import engine.scenario
-
-        return answer({"scenarios": engine.scenario.library(), "parameters": engine.scenario.parameters()})
-
     @server.post("/api/runs")
     def start(asked: Json) -> Response:
         known = {"scenario", "seed", "planner", "objective", "overrides", "name", "speed", "paused"}
@@ -179,6 +176,12 @@ def add_run_routes(server: FastAPI, manager: RunManager) -> None:
     def routes(run_id: str, t: Seconds = None) -> Response:
         tick_s = float(manager.manifest(run_id)["tick_s"])
         return answer(manager.read(run_id, lambda view: view.routes(ticks_of(view, tick_s, t))))
+
+    @server.get("/api/runs/{run_id}/power")
+    def power(run_id: str, t: Seconds = None) -> Response:
+        tick_s = float(manager.manifest(run_id)["tick_s"])
+        watts = manager.read(run_id, lambda view: view.power(ticks_of(view, tick_s, t)))
+        return answer({"values": [None if math.isnan(value) else round(value, 1) for value in watts.tolist()]})
 
     @server.get("/api/runs/{run_id}/heat")
     def heat(run_id: str, kind: str = "occupancy", t0: Seconds = None, t1: Seconds = None) -> Response:
@@ -233,6 +236,76 @@ def add_run_routes(server: FastAPI, manager: RunManager) -> None:
     def delete(run_id: str) -> Response:
         manager.delete(run_id)
         return answer({"run_id": run_id})
+
+
+def add_scenario_routes(server: FastAPI, library: Library) -> None:
+    """Scenarios: list, look at, import, rename, delete, download."""
+
+    @server.get("/api/scenarios")
+    def scenarios() -> Response:
+        import engine.scenario
+
+        imported = library.imported()
+        return answer({"scenarios": library.titles(), "imported": imported, "parameters": engine.scenario.parameters()})
+
+    @server.post("/api/scenarios")
+    def add(asked: Json) -> Response:
+        check_keys(asked, {"files", "name", *IMPORT_KEYS})
+        return answer({"name": library.add(files_in(asked), text_in(asked, "name"), import_options_in(asked))}, 201)
+
+    @server.post("/api/scenarios/preview")
+    def preview(asked: Json) -> Response:
+        check_keys(asked, {"files", *IMPORT_KEYS})
+        return answer(library.look(files_in(asked), import_options_in(asked)))
+
+    @server.get("/api/scenarios/{name}/floor")
+    def floor(name: str) -> Response:
+        return answer(library.floor(name))
+
+    @server.get("/api/scenarios/{name}/thumb")
+    def thumb(name: str) -> Response:
+        return answer(library.thumb(name))
+
+    @server.get("/api/scenarios/{name}/checks")
+    def checks(name: str) -> Response:
+        return answer({"findings": library.findings(name)})
+
+    @server.get("/api/scenarios/{name}/files/{file}")
+    def download(name: str, file: str) -> Response:
+        found = library.files(name).get(file)
+        if found is None:
+            raise HTTPException(404, f"scenario {name} has no file {file[:80]!r}")
+        return FileResponse(found, filename=file, media_type="text/plain; charset=utf-8", headers=NO_STORE)
+
+    @server.patch("/api/scenarios/{name}")
+    def rename(name: str, asked: Json) -> Response:
+        check_keys(asked, {"name"})
+        return answer({"name": library.rename(name, text_in(asked, "name") or "")})
+
+    @server.delete("/api/scenarios/{name}")
+    def delete(name: str) -> Response:
+        library.delete(name)
+        return answer({"name": name})
+
+
+def files_in(asked: dict[str, Any]) -> list[Upload]:
+    """The files of an import: [{name, text}, …]."""
+    files = asked.get("files")
+    if not isinstance(files, list) or not all(isinstance(file, dict) for file in files):
+        raise BadInput('files: a list such as [{"name": "my-floor.toml", "text": "…"}] was expected')
+    return [Upload(text_in(file, "name") or "", text_in(file, "text") or "") for file in files]
+
+
+def import_options_in(asked: dict[str, Any]) -> ImportOptions:
+    seed = integer_in(asked, "seed")
+    if seed is not None and seed < 0:
+        raise BadInput(f"seed: zero or more was expected; got {seed}")
+    return ImportOptions(
+        agents=integer_in(asked, "agents"),
+        planner=text_in(asked, "planner"),
+        objective=text_in(asked, "objective"),
+        seed=1 if seed is None else seed,
+    )
 
 
 def check_keys(asked: dict[str, Any], known: set[str]) -> None:
@@ -444,6 +517,7 @@ def install(server: FastAPI, manager: RunManager, viewer_cache: Path) -> None:
     """Adds every route; what is unknown below /api answers 404 rather than a page."""
     add_error_answers(server)
     add_run_routes(server, manager)
+    add_scenario_routes(server, manager.scenarios)
     add_file_routes(server, manager, viewer_cache)
     add_socket(server, manager)
 

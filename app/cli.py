@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from app.cli_study import study
 from app.settings import DEFAULT_PORT, DEFAULT_SCENARIO, LOOPBACK, Settings, data_folder
 from engine.errors import BadInput, RunError, WattlaneError
 
@@ -38,7 +39,8 @@ runs_app = typer.Typer(help="Recorded runs: list, show, rm.", no_args_is_help=Tr
 app.add_typer(runs_app, name="runs")
 
 DataOption = Annotated[
-    Path | None, typer.Option("--data", help="Folder for runs (also WATTLANE_DATA).", show_default="per user")
+    Path | None,
+    typer.Option("--data", help="Folder for runs and scenarios (also WATTLANE_DATA).", show_default="per user"),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="Run id, its beginning, a run's folder, or `last`.")]
@@ -143,7 +145,7 @@ def _serve(settings: Settings, page_path: str | None) -> None:
 
 @app.command()
 def run(
-    scenario: Annotated[str, typer.Argument(help="Scenario: a built-in name or a TOML file.")],
+    scenario: Annotated[str, typer.Argument(help="Scenario: a built-in or imported name, or a TOML file.")],
     planner: Annotated[str | None, typer.Option("--planner", help="Planner.")] = None,
     objective: Annotated[str | None, typer.Option("--objective", help="What plans minimise: time or energy.")] = None,
     set_: Annotated[
@@ -161,10 +163,18 @@ def run(
 ) -> None:
     """Run a scenario without a dashboard, as fast as it goes, and judge it."""
     from app import runner
-    from app.settings import use_kernel_cache, writable
+    from app.library import Library
+    from app.settings import scenarios_folder, use_kernel_cache, writable
 
     first = use_kernel_cache()
-    asked = runner.asked_scenario(scenario, overrides_of(set_ or []), seed=seed, planner=planner, objective=objective)
+    asked = runner.asked_scenario(
+        scenario,
+        overrides_of(set_ or []),
+        seed=seed,
+        planner=planner,
+        objective=objective,
+        library=Library(scenarios_folder(data_folder(data))),
+    )
     end_tick = _end_tick(asked, until)
     from engine.results.runs import Catalogue, checked_name
 
@@ -386,13 +396,22 @@ def _recording_of(folder: Path, target: Path | None) -> Path:
 
 
 @app.command()
-def judge(run_name: RunArgument, as_json: JsonOption = False, data: DataOption = None) -> None:
-    """Judge a recorded run: every rule, by code that shares nothing with the planners."""
+def judge(
+    what: Annotated[
+        str, typer.Argument(metavar="RUN|FILE", help="A plan file, or a run: id, its beginning, folder, or `last`.")
+    ],
+    as_json: JsonOption = False,
+    data: DataOption = None,
+) -> None:
+    """Judge a recorded run or a plan file: every rule, by code that shares nothing with the planners."""
     from app import runner
 
-    folder = find_run(run_name, data)
-    scenario = runner.scenario_of(folder)
-    verdict = runner.judge_folder(folder, scenario, runner.world_of(scenario))
+    if Path(what).expanduser().is_file():
+        verdict = _judged_plan(Path(what).expanduser())
+    else:
+        folder = find_run(what, data)
+        scenario = runner.scenario_of(folder)
+        verdict = runner.judge_folder(folder, scenario, runner.world_of(scenario))
     breaches = verdict["breaches"]
     if as_json:
         put_json(verdict)
@@ -401,9 +420,20 @@ def judge(run_name: RunArgument, as_json: JsonOption = False, data: DataOption =
             put(runner.breach_text(breach))
         if len(breaches) > 50:
             put(f"… and {len(breaches) - 50} more (--json lists all)")
-        put(f"{folder.name}: {'legal, no breaches' if not breaches else f'{len(breaches)} breaches'}")
+        name = verdict.get("run_id") or verdict["file"]
+        put(f"{name}: {'legal, no breaches' if not breaches else f'{len(breaches)} breaches'}")
     if breaches:
         raise typer.Exit(BREACHES)
+
+
+def _judged_plan(file: Path) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from app.jsonable import plain
+    from engine.scenario.plan_file import read_plan
+    from engine.sim.judge import judge_plan_file
+
+    return {"file": file.name, "breaches": [plain(asdict(breach)) for breach in judge_plan_file(read_plan(file))]}
 
 
 @app.command()
@@ -433,13 +463,17 @@ def export(
 
 @app.command()
 def validate(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="A scenario in TOML, or a built-in name.")],
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A scenario in TOML, or a built-in or imported name.")],
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override.")] = None,
+    data: DataOption = None,
 ) -> None:
     """Check a scenario: its form, its floor, its energy; says what fails, where, and what was expected."""
     from app import runner
+    from app.library import Library
+    from app.settings import scenarios_folder
 
-    scenario = runner.asked_scenario(file, overrides_of(set_ or []))
+    library = Library(scenarios_folder(data_folder(data)))
+    scenario = runner.asked_scenario(file, overrides_of(set_ or []), library=library)
     findings = runner.findings_of(scenario)
     for finding in findings:
         put(f"{finding.level:8} {finding.check}: {finding.text}")
@@ -449,18 +483,107 @@ def validate(
 
 
 @app.command()
+def solve(
+    map_file: Annotated[Path, typer.Argument(metavar="MAP", help="A MovingAI .map file.")],
+    scen_file: Annotated[Path, typer.Argument(metavar="SCEN", help="A MovingAI .scen file of that map.")],
+    planner: Annotated[
+        str, typer.Option("--planner", help="cbs, ecbs, time-window, prioritized; astar, eea for one vehicle.")
+    ],
+    agents: Annotated[
+        int | None, typer.Option("--agents", min=1, help="The first so many rows.", show_default="all rows")
+    ] = None,
+    objective: Annotated[
+        str | None, typer.Option("--objective", help="time or energy.", show_default="the planner's")
+    ] = None,
+    w: Annotated[float | None, typer.Option("--w", help="cbs, ecbs: cost at most w times the optimum.")] = None,
+    time_limit: Annotated[
+        str, typer.Option("--time-limit", metavar="TIME", help="End the search after 90s, 5min …; `none` never does.")
+    ] = "60s",
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A planner's parameter, such as tie=lifo.")
+    ] = None,
+    mass: Annotated[str, typer.Option("--mass", help="Kilograms, of all vehicles or in turn: 2000,2200.")] = "1000",
+    energy: Annotated[
+        list[str] | None, typer.Option("--energy", metavar="KEY=VALUE", help="A number of xu2025, such as mu=0.02.")
+    ] = None,
+    heading: Annotated[
+        str, typer.Option("--heading", help="At the start: east, north, west, south, or each its cheapest.")
+    ] = "cheapest",
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the plan, for `judge`.")] = None,
+    trace: Annotated[
+        Path | None, typer.Option("--trace", metavar="FILE", help="Write what the search did: .json or .npz.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Solve a MovingAI instance and judge the plan."""
+    from app import solving
+    from app.settings import kernels_compiled, use_kernel_cache
+    from engine.units import seconds
+
+    solving.checked_trace(trace)
+    asked = solving.Asked(
+        map_file,
+        scen_file,
+        planner,
+        agents=agents,
+        objective=objective,
+        w=w,
+        parameters=overrides_of(set_ or []),
+        masses_kg=solving.numbers(mass, "--mass"),
+        energy=solving.energies(overrides_of(energy or [])),
+        heading=heading,
+        time_limit_s=None if time_limit == "none" else seconds(time_limit),
+    )
+    instance, mark = solving.read(asked), f"compiled-{planner}"
+    if use_kernel_cache(mark):
+        say(COMPILING)
+    solving.warm_up(asked)
+    kernels_compiled(mark)
+    answer = solving.solve(asked, instance, trace=trace is not None)
+    written = []
+    if out is not None and answer.plan is not None:
+        out.write_text(answer.plan.text(), "utf-8")
+        written.append(out)
+    if trace is not None and answer.trace:
+        solving.write_trace(answer.trace, trace)
+        written.append(trace)
+    if as_json:
+        put_json(answer.summary)
+    else:
+        put(solving.summary_text(answer, written))
+    if out is not None and answer.plan is None:
+        say(f"wattlane: there is no plan to write to {out}")
+    if trace is not None and not answer.trace:
+        say(f"wattlane: {planner} kept no trace to write to {trace}")
+    if answer.summary["breaches"]:
+        raise typer.Exit(BREACHES)
+
+
+@app.command()
 def bench(
+    instances: Annotated[
+        Path | None,
+        typer.Option("--instances", metavar="DIR", help="Measure the planners on a folder of MovingAI instances."),
+    ] = None,
     as_json: JsonOption = False,
     quick: Annotated[bool, typer.Option("--quick", help="Shorter, less exact.")] = False,
 ) -> None:
     """Measure rates and ratios on this machine, all in one run."""
     from app import bench as benchmarks
 
-    results = benchmarks.measure(quick=quick, say=say)
+    if instances is None:
+        results = benchmarks.measure(quick=quick, say=say)
+    else:
+        from app import bench_instances
+
+        results = bench_instances.measure(instances, quick=quick, say=say)
     if as_json:
         put_json(results)
     else:
         put(benchmarks.table(results))
+
+
+app.command()(study)
 
 
 # Ending

@@ -93,3 +93,56 @@ class Replay(StrEnum):
     RERUN = "rerun-modal"
     RERUN_HOST = "rerun-host"  # *
     CATALOGUE = "catalogue"
+
+
+class Scenarios(StrEnum):
+    """The library: what is chosen, its preview, starting it, importing."""
+
+    CONFIG = "scenarios-config"
+    BOUND = "scenarios-bound"
+    DROP = "scenarios-drop"  # *
+    IMPORT = "scenarios-import"  # *
+    DETAIL = "scenarios-detail"  # *
+    MAP = "scenarios-map"  # *
+    LEGEND = "scenarios-legend"  # *
+    FINDINGS = "scenarios-findings"  # *
+    NAME = "scenarios-name"
+    PLANNER = "scenarios-planner"
+    OBJECTIVE = "scenarios-objective"
+    OBJECTIVES = "scenarios-objectives"
+    FLEET = "scenarios-fleet"
+    SEED = "scenarios-seed"
+    START = "scenarios-start"
+    CAUTION = "scenarios-caution"  # *
+    ERROR = "scenarios-error"
+
+
+class Learn(StrEnum):
+    """A lesson; its script fills most of it."""
+
+    CONFIG = "lesson-config"
+    BOUND = "lesson-bound"
+    STAGE = "lesson"  # *
+    CONTROLS = "lesson-controls"  # *
+    NOW = "lesson-now"  # *
+    LOOK = "lesson-look"  # *
+    TRANSPORT = "lesson-transport"  # *
+    PROBLEM = "lesson-problem"  # *
+
+
+class Papers(StrEnum):
+    """One study: how it is run, how far it is, which result is shown."""
+
+    SHOWN = "papers-shown"
+    RESULT = "papers-result"
+    QUICK = "papers-quick"
+    MAPS = "papers-maps"
+    SEED = "papers-seed"
+    RUN = "papers-run"
+    CANCEL = "papers-cancel"
+    ERROR = "papers-error"
+    TICK = "papers-tick"
+    PROGRESS = "papers-progress"
+    RUNNING = "papers-running"
+    FIGURES = "papers-figures"
+    DRAWN = "papers-drawn"

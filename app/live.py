@@ -3,7 +3,8 @@
 Little-endian. Header, 32 bytes: magic `WL` · u8 version · u8 flags · u32 sequence · f64 simulated time [s]
 · f32 speed reached · f32 speed asked (0 = as fast as it goes) · u16 vehicles · u16 reserved · u32 tick.
 Then per vehicle, 8 bytes: u16 x, u16 y (65535ths of the floor's width and height) · u8 heading (256ths of a turn,
-counter-clockwise from east) · u8 state of charge (250ths, 255 unknown) · u8 VehicleState · u8 flags.
+counter-clockwise from east) · u8 state of charge (250ths, 255 unknown) · u8 VehicleState
+· u8 flags: loaded, low, and the Task from bit 2 on.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ VEHICLE = np.dtype([("x", "<u2"), ("y", "<u2"), ("heading", "u1"), ("soc", "u1")
 
 PAUSED, DONE, REPLAY = 1, 2, 4
 LOADED, LOW = 1, 2
+TASK_SHIFT = 2
 SOC_STEPS = 250
 SOC_UNKNOWN = 255
 
@@ -76,7 +78,8 @@ def encode_frame(
     known = np.isfinite(soc) & (soc >= 0)
     rows["soc"] = np.where(known, np.clip(np.rint(np.where(known, soc, 0) * SOC_STEPS), 0, SOC_STEPS), SOC_UNKNOWN)
     rows["state"] = poses.state
-    rows["flags"] = np.where(poses.loaded, LOADED, 0) | np.where(poses.low, LOW, 0)
+    task = np.asarray(poses.task, np.uint8) << TASK_SHIFT
+    rows["flags"] = np.where(poses.loaded, LOADED, 0) | np.where(poses.low, LOW, 0) | task
     head = HEADER.pack(
         MAGIC, VERSION, flags & 255, sequence & 0xFFFFFFFF, float(time_s), float(speed), float(asked), n, 0, int(tick)
     )

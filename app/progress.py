@@ -19,7 +19,7 @@ CHUNK_S = 0.25
 
 
 @contextmanager
-def _stop_on_signals() -> Iterator[threading.Event]:
+def stop_on_signals() -> Iterator[threading.Event]:
     """Ctrl-C and SIGTERM set the event; a second Ctrl-C interrupts at once."""
     stop = threading.Event()
 
@@ -52,7 +52,7 @@ def drive(run: Run, end_tick: int | None) -> str:
     )
     total = end_tick if end_tick is not None else run.end_tick
     with (
-        _stop_on_signals() as stop,
+        stop_on_signals() as stop,
         Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar,
     ):
         task = bar.add_task(run.scenario.name, total=total, at="", rate="", orders="")

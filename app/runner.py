@@ -26,6 +26,7 @@ from engine.errors import BadInput, RunError, ScenarioError, unknown_name
 from engine.results.schema import TABLES, VERSION
 
 if TYPE_CHECKING:
+    from app.library import Library
     from engine.results.runlog import RunLogWriter
     from engine.results.runs import Catalogue
     from engine.scenario import Scenario
@@ -149,17 +150,29 @@ def asked_scenario(
     seed: int | None = None,
     planner: str | None = None,
     objective: str | None = None,
+    library: Library | None = None,
 ) -> Scenario:
-    """The scenario with everything that was asked. Raises BadInput with the sentence to show."""
+    """The scenario with everything that was asked. Raises BadInput with the sentence to show.
+
+    name: of a built-in one, of one in the library, or a path.
+    """
     import engine.scenario
 
     asked = dict(overrides)
     for key, value in (("seed", seed), ("planner.name", planner), ("planner.objective", objective)):
         if value is not None:
             asked[key] = value
-    scenario = engine.scenario.load(name, asked)
+    by_name = library is not None and library.means(name)
+    scenario = library.load(name, asked) if library and by_name else engine.scenario.load(name, asked)
+    return checked(scenario)
+
+
+def checked(scenario: Scenario) -> Scenario:
+    """The scenario with its planner's own objective. Raises ScenarioError when a part is unknown or doesn't fit."""
+    from engine.build import fitted
+
     check_names(scenario)
-    return scenario
+    return fitted(scenario)
 
 
 def check_names(scenario: Scenario) -> None:
@@ -167,7 +180,7 @@ def check_names(scenario: Scenario) -> None:
     from engine import build
 
     parts = (
-        ("planner", scenario.planner.name, build.PLANNERS),
+        ("planner", scenario.planner.name, {**build.PLANNERS, **build.SOLVERS}),
         ("dispatcher", scenario.dispatch.policy, build.DISPATCHERS),
         ("charging policy", scenario.charging.policy, build.CHARGING),
         ("demand model", scenario.energy.demand, build.DEMAND),
@@ -528,10 +541,15 @@ def warm_up(scenario: Scenario) -> None:
 
     sim = build(scenario)
     numbers = [station.number for station in sim.world.stations]
+    there, back = (
+        ([{"do": "order", "from": a, "to": b}] for a, b in ((numbers[0], numbers[-1]), (numbers[-1], numbers[0])))
+        if numbers
+        else ([], [])
+    )
     said: list[dict[str, Any]] = [
-        {"do": "order", "from": numbers[0], "to": numbers[-1]},
+        *there,
         {"do": "pause", "vehicle": 0},
-        {"do": "order", "from": numbers[-1], "to": numbers[0]},
+        *back,
         {"do": "continue", "vehicle": 0},
         {"do": "fail", "vehicle": 0},
         {"do": "block", "place": 0},
@@ -592,7 +610,7 @@ def judge_folder(folder: Path, scenario: Scenario, world: Any) -> dict[str, Any]
 
 def breach_text(breach: Mapping[str, Any]) -> str:
     """One breach for a person."""
-    return str(breach)
+    return f"tick {breach['tick']:>6}  {breach['kind']:<10}  {breach['text']}"
 
 
 def findings_of(scenario: Scenario) -> list[Finding]:

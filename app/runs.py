@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import assets
 from app import wire
+from app.library import Library
 from app.settings import Settings
 from engine.errors import BadInput, CommandError, RunError, WattlaneError, unknown_name
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-ANSWER_TIMEOUT_S = 10.0
+ANSWER_TIMEOUT_S = 30.0
 CLOSE_TIMEOUT_S = 20.0
 VIEWS_KEPT = 8
 REFRESH_S = 0.4
@@ -230,6 +231,7 @@ class RunManager:
         self.settings = settings
         self.catalogue: Catalogue = Catalogue(settings.runs)
         self.demos: Catalogue = Catalogue(assets.path("demos"))
+        self.scenarios = Library(settings.scenarios)
         self.workers: dict[str, Worker] = {}
         self._ended: dict[str, Worker] = {}
         self._views: OrderedDict[str, _Opened] = OrderedDict()
@@ -378,18 +380,19 @@ class RunManager:
     ) -> str:
         """Starts a live run in a process of its own and returns its id. The scenario is checked before.
 
-        scenario: name of a built-in one; with `from_file` (never for what came over the network) also a path.
+        scenario: name of a built-in or imported one; with `from_file` (never for what came over the network) also a
+        path.
         """
-        import engine.scenario
         from app import runner
         from engine.results.runs import checked_name
 
-        if not from_file and scenario not in engine.scenario.library():
-            raise BadInput(unknown_name("scenario", scenario, engine.scenario.library()))
-
+        if not from_file and scenario not in self.scenarios:
+            raise BadInput(unknown_name("scenario", scenario, self.scenarios.names()))
         pace = _pace(speed, paused)
         label = checked_name(name)
-        asked = runner.asked_scenario(scenario, overrides or {}, seed=seed, planner=planner, objective=objective)
+        asked = runner.asked_scenario(
+            scenario, overrides or {}, seed=seed, planner=planner, objective=objective, library=self.scenarios
+        )
         return self._launch(runner.prepare(self.catalogue, asked, name=label), pace)
 
     def resume(self, run_id: str) -> str:

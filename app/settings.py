@@ -47,6 +47,11 @@ def data_folder(chosen: str | Path | None = None) -> Path:
     return _platform_folder("XDG_DATA_HOME", ".local/share", "Library/Application Support", "LOCALAPPDATA")
 
 
+def scenarios_folder(data: Path) -> Path:
+    """The folder below the data folder that holds the user's own scenarios."""
+    return data / "scenarios"
+
+
 def cache_folder() -> Path:
     """The folder for what can be made again: WATTLANE_CACHE, else the platform's. Not created here."""
     chosen = os.environ.get("WATTLANE_CACHE")
@@ -83,8 +88,8 @@ def is_loopback(host: str) -> bool:
 class Settings:
     """How one dashboard runs.
 
-    data: folder that holds `runs/` · host, port: where it listens · token: what a client must show, or None on
-    loopback · allowed_hosts: further names under which it is reached (a proxy's), for the Host check
+    data: folder that holds `runs/` and `scenarios/` · host, port: where it listens · token: what a client must show,
+    or None on loopback · allowed_hosts: further names under which it is reached (a proxy's), for the Host check
     · scenario: started when no run is open; None starts nothing · open_browser: open a page on start.
     """
 
@@ -111,6 +116,10 @@ class Settings:
     @property
     def runs(self) -> Path:
         return self.data / "runs"
+
+    @property
+    def scenarios(self) -> Path:
+        return scenarios_folder(self.data)
 
     @property
     def viewer_cache(self) -> Path:
@@ -144,10 +153,11 @@ def kernel_cache_key(engine_folder: Path) -> str:
     return found.hexdigest()[:16]
 
 
-def use_kernel_cache() -> bool:
+def use_kernel_cache(mark: str = WARM) -> bool:
     """Points numba at the per-user cache for this code; call before numba is imported.
 
-    Returns True when kernels have still to be compiled. An environment that sets NUMBA_CACHE_DIR is respected.
+    Returns True when kernels have still to be compiled: those of a run, or those that a mark of its own stands for. An
+    environment that sets NUMBA_CACHE_DIR is respected.
     """
     import engine
 
@@ -162,15 +172,15 @@ def use_kernel_cache() -> bool:
             return True  # numba then finds its own place, or compiles each time
         _forget_old(parent, keep=4)
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    return not (folder / WARM).exists()
+    return not (folder / mark).exists()
 
 
-def kernels_compiled() -> None:
-    """Notes that the cache in use holds every kernel that a run needs."""
+def kernels_compiled(mark: str = WARM) -> None:
+    """Notes that the cache in use holds every kernel that a run needs, or what the mark stands for."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if folder:
         with contextlib.suppress(OSError):
-            (Path(folder) / WARM).touch()
+            (Path(folder) / mark).touch()
 
 
 def _forget_old(parent: Path, keep: int) -> None:

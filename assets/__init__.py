@@ -1,4 +1,4 @@
-"""What ships beside the code: web/ (served by the dashboard), scenarios/, maps/, demos/."""
+"""What ships beside the code: web/ (served by the dashboard), scenarios/, maps/, demos/, studies/."""
 
 from importlib.resources import files
 from pathlib import Path

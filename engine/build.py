@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from engine.energy import parameter_sets
+from engine.energy import battery, parameter_sets
 from engine.errors import ScenarioError, unknown_name
-from engine.scenario import Scenario, load, parse, start_places
+from engine.scenario import Scenario, goal_places, load, parse, start_places
 from engine.types import Occupancy
 from engine.units import MJ_PER_J
 from engine.world import World, build_world
@@ -25,12 +25,20 @@ PLANNERS: dict[str, str] = {
     "stochastic": "engine.planners.stochastic:Stochastic",
     "astar-distance": "engine.planners.astar_distance:AStarDistance",
     "astar-turns": "engine.planners.astar_turns:AStarTurns",
+    "astar": "engine.planners.routes:AStarRoutes",
+    "eea": "engine.planners.routes:EeaRoutes",
 }
+"""Lifelong planners and routers: one vehicle's request at a time."""
 SOLVERS: dict[str, str] = {
     "cbs": "engine.planners.cbs:CBS",
     "ecbs": "engine.planners.ecbs:ECBS",
     "prioritized": "engine.planners.one_shot_prioritized:OneShotPrioritized",
     "time-window": "engine.planners.time_window:TimeWindow",
+}
+"""One-shot solvers: all vehicles at once, where every vehicle has a goal."""
+SEARCHES: dict[str, str] = {
+    "astar": "engine.planners.astar:AStar",
+    "eea": "engine.planners.eea:Eea",
 }
 DISPATCHERS: dict[str, str] = {
     "nearest": "engine.dispatch.nearest:Nearest",
@@ -41,14 +49,10 @@ CHARGING: dict[str, str] = {
 DEMAND: dict[str, str] = {
     "xu2025": "engine.energy.xu2025:Xu2025",
     "constant": "engine.energy.constant:Constant",
-    "drive": "engine.energy.drive:Drive",
-    "drive-paper": "engine.energy.drive:PaperDrive",
+    "lian2024": "engine.energy.lian2024:lian2024",
+    "lian2024-paper": "engine.energy.lian2024:lian2024_paper",
 }
-BATTERIES: dict[str, str] = {
-    "coulomb": "engine.energy.battery:coulomb",
-    "linear": "engine.energy.battery:linear",
-    "tremblay": "engine.energy.tremblay:tremblay",
-}
+BATTERIES: dict[str, str] = battery.BATTERIES
 
 
 def find(registry: Mapping[str, str], what: str, name: str) -> Any:
@@ -68,44 +72,128 @@ def demand_model(name: str, scenario: Scenario) -> Any:
     if name == "constant":
         numbers = parameters_over(parameter_sets.constant(), given, name)
         return cls(running_w=scenario.battery.capacity_wh * 3600 * numbers["percent_per_s"] / 100)
-    defaults = {
-        "xu2025": parameter_sets.xu2025,
-        "drive": parameter_sets.drive,
-        "drive-paper": parameter_sets.drive_paper,
-    }
-    return cls(**parameters_over(defaults[name](scenario.motion.speed_mps), given, name))
+    numbers_of = parameter_sets.lian2024 if name.startswith("lian2024") else parameter_sets.xu2025
+    return cls(**parameters_over(numbers_of(scenario.motion.speed_mps), given, name))
 
 
 def costs_of(scenario: Scenario, world: World, demand: str | None = None) -> Any:
-    """The integer cost table of a scenario's fleet (one vehicle class)."""
+    """The integer cost table of a scenario's fleet: a vehicle class per distinct mass, lightest first."""
     from engine.energy import cost_table
 
     model = demand_model(demand or scenario.energy.demand, scenario)
-    masses = [(scenario.fleet.mass_kg, scenario.fleet.payload_kg)]
+    masses = [(mass, scenario.fleet.payload_kg) for mass in sorted(set(scenario.fleet.each_mass_kg))]
     return cost_table(world.graph.primitives, model, masses, scenario.time.tick_s)
 
 
 def beside_costs(scenario: Scenario, world: World) -> Any:
-    """Costs of the scenario's second demand model, or None when it names none."""
-    return costs_of(scenario, world, scenario.energy.beside) if scenario.energy.beside else None
+    """Costs of the scenario's second demand model, the vehicles' in turn, or None when it names none."""
+    if not scenario.energy.beside:
+        return None
+    costs, cls = costs_of(scenario, world, scenario.energy.beside), classes_of(scenario)
+    if not cls.any():
+        return costs
+    return type(costs)(costs.mj[cls], costs.total_mj[cls], costs.standby_mj[cls])
+
+
+def classes_of(scenario: Scenario) -> Any:
+    """(V,) vehicle class of every vehicle, a row of `costs_of`."""
+    masses = scenario.fleet.each_mass_kg
+    return np.searchsorted(sorted(set(masses)), masses).astype(np.int8)
 
 
 def planner_of(name: str, scenario: Scenario) -> Any:
-    """A planner with the scenario's parameters. Raises ScenarioError."""
-    from dataclasses import fields
-
-    from engine.planners.base import configured
-
+    """A lifelong planner with the scenario's parameters. Raises ScenarioError."""
     cls = find(PLANNERS, "planner", name)
-    parameters = dict(scenario.planner.parameters) if name == scenario.planner.name else {}
-    if "objective" in {f.name for f in fields(cls)}:
-        parameters.setdefault("objective", scenario.planner.objective)
-    chosen = configured(cls, parameters)
+    chosen = _configured(cls, scenario, name == scenario.planner.name)
     if hasattr(cls, "route"):
         from engine.traffic.timer import Timed
 
         return Timed(chosen)
     return chosen
+
+
+def team_of(scenario: Scenario) -> tuple[Any, Any]:
+    """(lifelong planner, one-shot solver or None) of a scenario. Raises ScenarioError when the planner doesn't fit.
+
+    A solver plans everybody at the start; what happens later is planned by `prioritized` with the same objective.
+    """
+    scenario = fitted(scenario)
+    name = scenario.planner.name
+    if scenario.orders.source != "goals" or not _fits(SOLVERS, name, scenario):
+        return planner_of(name, scenario), None
+    solver = _configured(find(SOLVERS, "planner", name), scenario, True)
+    from engine.planners.prioritized import Prioritized
+
+    return Prioritized(scenario.planner.objective), solver
+
+
+def _configured(cls: Any, scenario: Scenario, own: bool) -> Any:
+    from dataclasses import fields
+
+    from engine.planners.base import configured
+
+    parameters = dict(scenario.planner.parameters) if own else {}
+    if "objective" in {f.name for f in fields(cls)}:
+        parameters.setdefault("objective", scenario.planner.objective)
+    return configured(cls, parameters)
+
+
+def planners_for(scenario: Scenario) -> list[str]:
+    """Names of the planners that serve a scenario: its floor, its motions, and where its vehicles' tasks come from."""
+    names = [name for name in PLANNERS if _fits(PLANNERS, name, scenario)]
+    if scenario.orders.source == "goals":
+        names += [name for name in SOLVERS if name not in names and _fits(SOLVERS, name, scenario)]
+    return names
+
+
+def fitted(scenario: Scenario) -> Scenario:
+    """The scenario, its objective being its planner's where that has only one.
+
+    Raises ScenarioError with one sentence when its planner is unknown or doesn't serve it.
+    """
+    name = scenario.planner.name
+    goals = scenario.orders.source == "goals"
+    if name not in PLANNERS and name not in SOLVERS:
+        raise ScenarioError(unknown_name("planner", name, {**PLANNERS, **SOLVERS}))
+    registry = SOLVERS if name not in PLANNERS or (goals and _fits(SOLVERS, name, scenario)) else PLANNERS
+    why = _misfit(registry[name], scenario)
+    if registry is SOLVERS and not goals:
+        why = f"plans all vehicles at once, each to its goal, and orders.source is {scenario.orders.source!r}"
+    if why:
+        others = planners_for(scenario)
+        known = f"expected {' or '.join(map(repr, others))}" if others else "no planner serves this scenario"
+        raise ScenarioError(f"planner.name: {name!r} {why}; {known}")
+    objectives = find(registry, "planner", name).promise.objectives
+    if scenario.planner.objective in objectives:
+        return scenario
+    return scenario.model_copy(
+        update={"planner": scenario.planner.model_copy(update={"objective": objectives[0]})}
+    )  # fmt: skip
+
+
+def _fits(registry: Mapping[str, str], name: str, scenario: Scenario) -> bool:
+    return name in registry and not _misfit(registry[name], scenario)
+
+
+def _misfit(entry: str, scenario: Scenario) -> str:
+    """What a planner asks of floor and motions and does not get; empty when it serves them."""
+    module, _, attribute = entry.partition(":")
+    promise = getattr(import_module(module), attribute).promise
+    floor, motion = scenario.floor, scenario.motion
+    if promise.cells and floor.kind == "network":
+        return "needs a floor of cells, and floor.kind is 'network'"
+    if Occupancy(floor.occupancy) not in promise.occupancies:
+        wanted = " or ".join(repr(str(o)) for o in promise.occupancies)
+        return f"needs the occupancy {wanted}, and floor.occupancy is {floor.occupancy!r}"
+    if floor.connectivity not in promise.connectivity:
+        wanted = " or ".join(map(str, sorted(promise.connectivity)))
+        return f"needs {wanted} neighbours per cell, and floor.connectivity is {floor.connectivity}"
+    if motion.turning not in promise.turnings:
+        return f"needs vehicles that turn while driving, and motion.turning is {motion.turning!r}"
+    ticks = (motion.straight_ticks, motion.turn_ticks, motion.reverse_ticks)
+    if promise.unit and max(ticks) > 1:
+        return f"needs motions of one tick each, and one of this scenario takes {max(ticks)}"
+    return ""
 
 
 def build(
@@ -142,25 +230,29 @@ def parts_of(scenario: Scenario) -> Any:
             f"floor.occupancy: got 'mapf', which needs motions of one tick, but {longest.name!r} takes "
             f"{longest.ticks}; expected 'hold'"
         )
+    planner, solver = team_of(scenario)
     costs = costs_of(scenario, world)
+    start, cls, goals = start_places(scenario, world), classes_of(scenario), goal_places(scenario, world)
     tick_s = scenario.time.tick_s
     streams = np.random.SeedSequence(scenario.seed).spawn(4)
     orders, batteries, planning, faults = streams
-    battery = find(BATTERIES, "battery model", scenario.battery.model)(
-        scenario.battery.capacity_wh, scenario.battery.voltage_v
-    )
     soc = scenario.battery.initial_soc
     low, high = (soc, soc) if isinstance(soc, float) else soc
     charging = find(CHARGING, "charging policy", scenario.charging.policy)()
+    if goals:
+        from engine.dispatch.to_goals import ToGoals
+
+        charging = ToGoals(goals)
     return Parts(
         scenario=scenario,
         world=world,
         seed=scenario.seed,
         costs=costs,
         search=FloorSearch(world.graph, costs),
-        battery=battery,
+        battery=battery.battery_of(**scenario.battery.asked),
         power_mj=charger_mj(scenario),
-        planner=planner_of(scenario.planner.name, scenario),
+        planner=planner,
+        solver=solver,
         planner_rng=np.random.default_rng(planning),
         dispatcher=find(DISPATCHERS, "dispatcher", scenario.dispatch.policy)(charging),
         charging=charging,
@@ -172,9 +264,27 @@ def parts_of(scenario: Scenario) -> Any:
             round(scenario.faults.repair_s / tick_s),
             tick_s,
         ),
-        start=start_places(scenario, world),
+        start=start,
+        cls=cls,
+        facing=facing_of(scenario, world, costs, start, goals, cls),
+        goals=np.array(goals, np.int32),
         initial_soc=np.random.default_rng(batteries).uniform(low, high, scenario.fleet.count),
     )
+
+
+def facing_of(
+    scenario: Scenario, world: World, costs: Any, start: Sequence[int], goals: Sequence[int], cls: Any
+) -> Any:
+    """(V,) motion states in which vehicles stand at the start; empty when they face straight out of their bays."""
+    heading, graph = scenario.fleet.heading, world.graph
+    if heading == "best":
+        if not goals or scenario.floor.connectivity != 4 or scenario.motion.turning != "arc":
+            return np.zeros(0, np.int32)
+        from engine.planners.problems import cheapest_starts
+
+        return cheapest_starts(graph, costs, start, goals, cls)
+    index = graph.heading_deg.index({"east": 0, "north": 90, "west": 180, "south": 270}[heading])
+    return np.array([graph.state(place, index) for place in start], np.int32)
 
 
 def charger_mj(scenario: Scenario) -> tuple[int, int]:
@@ -189,9 +299,11 @@ def charger_mj(scenario: Scenario) -> tuple[int, int]:
 
 def source_of(scenario: Scenario, world: World, rng: np.random.Generator) -> Any:
     """The scenario's source of orders. Raises ScenarioError for unknown stations."""
-    from engine.orders.sources import Backlog, Listed, Poisson
+    from engine.orders.sources import Backlog, Listed, NoOrders, Poisson
 
     orders = scenario.orders
+    if orders.source == "goals":
+        return NoOrders()
     if orders.source == "listed":
         for a, b in orders.pairs:
             world.station(a), world.station(b)

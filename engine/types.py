@@ -114,3 +114,4 @@ class PlanStatus(StrEnum):
     NO_PATH = "no path"
     BUDGET_SPENT = "budget spent"
     INCONSISTENT = "inconsistent request"
+    CHARGE = "too little charge"

@@ -191,26 +191,28 @@ def space_time(
     tick: int,
     by: str,
 ) -> tuple[int, int] | None:
-    """Least (ticks or mJ, by `by`) through all goals over (state, tick, goals reached); None when there is no way.
+    """Least ticks, or least mJ and then ticks, through all goals over (state, tick, goals reached); None without a way.
+
+    Returns (ticks, mJ of some such way) by `time`, (mJ, ticks) by `energy`.
 
     Once the last reservation has begun or ended nothing changes any more, so all later ticks are one.
     """
     bounds = [t for _, a, b, _ in reservations for t in (a, b) if t < FOREVER]
     calm = max([tick, *bounds]) + 1
-    queue: list[tuple[int, int, int, int, int, int]] = [(0, 0, tick, state, 0, 0)]
+    queue: list[tuple[tuple[int, int], int, int, int, int, int]] = [((0, 0), 0, tick, state, 0, 0)]
     done: set[tuple[int, int, int]] = set()
     pushed = 0
     while queue:
-        value, _, t, s, leg, mj = heapq.heappop(queue)
+        _, _, t, s, leg, mj = heapq.heappop(queue)
         if leg == len(goals):
-            return (t - tick, mj) if by == "time" else (value, t - tick)
+            return (t - tick, mj) if by == "time" else (mj, t - tick)
         key = (s, leg, min(t, calm))
         if key in done:
             continue
         done.add(key)
         for s2, leg2, t2, cost, _ in after(floor, reservations, goals, standby, s, leg, t):
             pushed += 1
-            worth = t2 - tick if by == "time" else mj + cost
+            worth = (t2 - tick, 0) if by == "time" else (mj + cost, t2 - tick)
             heapq.heappush(queue, (worth, pushed, t2, s2, leg2, mj + cost))
     return None
 

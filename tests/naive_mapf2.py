@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -73,7 +74,7 @@ def expansions(
 
 @dataclass(frozen=True)
 class Energy:
-    """Millijoules by the formulas of the paper, rounded where the engine rounds. A quarter arc is 785 mm long."""
+    """Millijoules by the formulas of the paper, rounded where the engine rounds."""
 
     mass: float = 1000.0
     mu: float = 0.01
@@ -100,7 +101,7 @@ class Energy:
         if gap == 0:
             total = straight
         elif gap == 1:
-            total = round(1000 * self.mu * self.mass * 9.81 * 0.785) + round(1000 * e_turn)
+            total = round(1000 * self.mu * self.mass * 9.81 * math.pi / 4) + round(1000 * e_turn)
         else:
             total = straight + round(1000 * 2 * e_turn) + (start if moving else 0)
         return total + (0 if moving else start) + self.wait

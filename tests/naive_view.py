@@ -86,7 +86,7 @@ class NaiveView:
             if m["vehicle"] == v and m["kind"] >= PRIMITIVE_0 and m["t0"] < time:
                 end = m.get("foreseen", m["t1"])
                 share = min(1.0, (time - m["t0"]) / (end - m["t0"]))
-                total += self.world.graph.primitives[m["kind"] - PRIMITIVE_0].length_mm * share
+                total += round(self.world.graph.primitives[m["kind"] - PRIMITIVE_0].length_mm) * share
         return total / 1000
 
     def waiting_s(self, v: int, time: float) -> float:

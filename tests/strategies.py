@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from engine.energy import CostTable, cost_table
+from engine.energy import Battery, CostTable, battery, cost_table
 from engine.energy.parameter_sets import xu2025
 from engine.energy.xu2025 import Xu2025
 from engine.planners.base import Leg, Request, View
@@ -251,3 +251,11 @@ def scenario_text(rows: str, count: int, **sections: Any) -> str:
     text += f'[floor]\nrows = """\n{rows.strip()}\n"""\n{sections.get("floor", "")}\n'
     text += f"[fleet]\ncount = {count}\n{sections.get('fleet', '')}\n"
     return text + "".join(f"[{name}]\n{lines}\n" for name, lines in tables.items())
+
+
+def falling_battery(capacity_wh: float, voltage_v: float, *, knee: float = 0.8, taper_w: float = 20.0) -> Battery:
+    """A third battery: its voltage falls with the charge, and beyond `knee` it accepts less and less power."""
+    soc = np.arange(battery.POINTS) / (battery.POINTS - 1)
+    voltage_mv = np.rint(1000 * voltage_v * (0.8 + 0.3 * soc - 0.15 * np.exp(-25 * soc))).astype(np.int64)
+    accept_w = np.where(soc < knee, 600.0, taper_w + (600.0 - taper_w) * np.clip((1 - soc) / (1 - knee), 0, 1))
+    return Battery(round(capacity_wh * 3600 * 1000 / voltage_v), voltage_mv, accept_w)

@@ -231,6 +231,7 @@ class _Run:
         self.capacity = round(scenario.battery.capacity_wh * 3600 * 1e6 / self.volt)
         self.gross = round(scenario.charger.power_w * tick_s * 1000)
         self.net = int(self.gross * scenario.charger.efficiency)
+        self.level = {"good": 0.3, "sufficient": 0.8}
         self.sample = round(scenario.log.sample_s / tick_s)
         self.pick, self.drop = round(scenario.service.pick_s / tick_s), round(scenario.service.drop_s / tick_s)
         self.rate = scenario.orders.rate_per_h / 3600 * tick_s
@@ -360,8 +361,8 @@ class _Run:
         for v, a in enumerate(self.fleet):
             if a.t1 < FOREVER or a.route or a.legs or a.service or a.paused or a.failed or a.order >= 0:
                 continue
-            low = a.charge < 0.3 * self.capacity
-            charging = a.then == Activity.CHARGE and a.charge < 0.8 * self.capacity
+            low = a.charge < self.level["good"] * self.capacity
+            charging = a.then == Activity.CHARGE and a.charge < self.level["sufficient"] * self.capacity
             if not low and not charging:
                 for n, o in enumerate(self.orders):
                     if o["state"] == OrderState.OPEN and not {o["from"], o["to"]} & (taken - a.booked):
@@ -576,5 +577,7 @@ class _Run:
             i = command["charger"]
             (self.out.add if do == "charger out" else self.out.discard)(i)
             self.rows["chargers"].append((t, i, NONE, 3 if do == "charger out" else 4))
+        elif do == "thresholds":
+            self.level = {name: command[name] for name in self.level}
         self.rows["commands"].append((t, self.number, json.dumps(command), int(not reason), reason))
         self.number += 1

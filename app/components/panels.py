@@ -90,26 +90,32 @@ def soc_bar(soc: float | None, levels: Mapping[str, float]) -> Any:
     )
 
 
+def vehicle_commands(record: Record) -> list[html.Button]:
+    """What can be done with a vehicle in its present state, as the map's menu offers it."""
+    v, state, order = record["vehicle"], record["state"], record["order"]
+    fit = state not in ("fault", "paused")
+    full = record["soc"] is not None and record["soc"] >= 1.0
+    offers: list[tuple[bool, str, dict[str, Any]]] = [
+        (state == "paused", "Continue", {"do": "continue"}),
+        (fit, "Pause", {"do": "pause"}),
+        (state not in ("fault", "charging", "to charger") and not full, "Charge now", {"do": "charge"}),
+        (state == "fault", "Repair", {"do": "repair"}),
+        (state != "fault", "Break down…", {"do": "fail"}),
+    ]
+    buttons = [command_button(word, {**command, "vehicle": v}) for offered, word, command in offers if offered]
+    if fit and order is None:
+        buttons.insert(1, action_button("Send to…", {"action": "send", "vehicle": v}))
+    if order is not None and record["task"] == "to pick up" and state != "loading":
+        buttons.insert(-1, command_button("Withdraw order…", {"do": "withdraw", "order": order}))
+    return buttons
+
+
 def vehicle_panel(record: Record, levels: Mapping[str, float], *, live: bool) -> html.Div:
     """One vehicle: what it does and why it waits, its charge and totals; commands when the run is live."""
     v = record["vehicle"]
     buttons = [action_button("Follow", {"action": "follow", "vehicle": v})]
     if live:
-        paused, broken = record["state"] == "paused", record["state"] == "fault"
-        buttons += [
-            command_button("Continue", {"do": "continue", "vehicle": v})
-            if paused
-            else command_button("Pause", {"do": "pause", "vehicle": v}),
-            action_button("Send to…", {"action": "send", "vehicle": v}),
-            command_button("Charge now", {"do": "charge", "vehicle": v}),
-        ]
-        if record["order"] is not None:
-            buttons.append(command_button("Withdraw order…", {"do": "withdraw", "order": record["order"]}))
-        buttons.append(
-            command_button("Repair", {"do": "repair", "vehicle": v})
-            if broken
-            else command_button("Break down…", {"do": "fail", "vehicle": v})
-        )
+        buttons += vehicle_commands(record)
     state = html.Span(
         [
             html.Span(className="wl-dot", style={"background": f"var(--wl-state-{record['state'].replace(' ', '-')})"}),

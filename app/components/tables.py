@@ -20,7 +20,9 @@ def _formatted(name: str, field: str, function: str, **more: Any) -> dict[str, A
     return _column(name, field, valueFormatter={"function": f"{function}(params.value)"}, type="rightAligned", **more)
 
 
-def _grid(grid_id: str, columns: list[dict[str, Any]], *, selectable: bool, nothing: str) -> dag.AgGrid:
+def _grid(
+    grid_id: str, columns: list[dict[str, Any]], *, nothing: str, selectable: bool = False, **more: Any
+) -> dag.AgGrid:
     options: dict[str, Any] = {
         "animateRows": False,
         "localeText": {"noRowsToShow": nothing},
@@ -40,6 +42,7 @@ def _grid(grid_id: str, columns: list[dict[str, Any]], *, selectable: bool, noth
         dashGridOptions=options,
         className="wl-grid",
         style={"height": "100%", "width": "100%"},
+        **more,
     )
 
 
@@ -48,7 +51,7 @@ def fleet_grid(grid_id: str, levels: Mapping[str, float]) -> dag.AgGrid:
     columns = [
         _column("AGV", "vehicle", width=70, maxWidth=80),
         _column("State", "state", cellRenderer="StateCell", width=120),
-        _column("Task", "task", width=100),
+        _column("Task", "task", width=100, minWidth=92),
         _formatted("Order", "order", "wlNone", width=75),
         _column("At", "place_name", width=90),
         _column("Charge", "soc", cellRenderer="SocBar", cellRendererParams={"levels": dict(levels)}, width=170),
@@ -76,7 +79,7 @@ def orders_grid(grid_id: str) -> dag.AgGrid:
         _column("Given by", "source", width=100),
         _column("", "command_text", cellRenderer="CommandCell", width=100, sortable=False),
     ]
-    return _grid(grid_id, columns, selectable=False, nothing="No orders yet")
+    return _grid(grid_id, columns, nothing="No orders yet")
 
 
 def chargers_grid(grid_id: str) -> dag.AgGrid:
@@ -90,21 +93,24 @@ def chargers_grid(grid_id: str) -> dag.AgGrid:
         _column("Queue", "queue_text", width=160, tip="Vehicles that wait for it"),
         _column("", "command_text", cellRenderer="CommandCell", width=130, sortable=False),
     ]
-    return _grid(grid_id, columns, selectable=False, nothing="This floor has no chargers")
+    return _grid(grid_id, columns, nothing="This floor has no chargers")
 
 
 def events_grid(grid_id: str) -> dag.AgGrid:
+    """Events: a click selects the row; a double click or Enter goes to its time and place."""
     columns = [
-        _formatted("Time", "time_s", "wlClock", width=95, maxWidth=110),
+        _formatted("Time", "time_s", "wlClock", width=95, minWidth=86, maxWidth=110),
         _column("Level", "level_word", width=100, maxWidth=120),
         _column("Kind", "kind", width=140, maxWidth=180),
         _column("AGV", "vehicle", cellRenderer="VehicleCell", width=80, maxWidth=90),
-        _column("What", "text", cellRenderer="EventCell", width=500),
+        _column("What", "text", width=500, tip="Double-click, or press Enter, to go to its time and place"),
     ]
-    return _grid(grid_id, columns, selectable=False, nothing="No events yet")
+    going = {name: ["wlGoToEvent(params)"] for name in ("cellDoubleClicked", "cellKeyDown")}
+    return _grid(grid_id, columns, selectable=True, nothing="No events yet", eventListeners=going)
 
 
 ACTIVE_ORDERS = ("open", "assigned", "picked")
+WITHDRAWABLE = ("open", "assigned")
 LEVELS = ("info", "warning", "error")
 
 
@@ -121,7 +127,7 @@ def order_rows(records: Sequence[Record], *, live: bool) -> list[dict[str, Any]]
     rows = []
     for record in records:
         row = {"key": str(record["order"]), **{name: _short(value) for name, value in record.items()}}
-        if live and record["state"] in ACTIVE_ORDERS:
+        if live and record["state"] in WITHDRAWABLE:
             row |= {"command": {"do": "withdraw", "order": record["order"]}, "command_text": "Withdraw…"}
         rows.append(row)
     return rows

@@ -29,7 +29,7 @@ def timed_figure(name: str, t0_s: float, t1_s: float, scheme: str) -> go.Figure:
         range=[t0_s * MS, max(t1_s, t0_s + 1) * MS],
         tickformat="%-d %H:%M" if long else ("%H:%M:%S" if t1_s - t0_s < 600 else "%H:%M"),
         hoverformat="day %-d %H:%M:%S" if long else "%H:%M:%S",
-        nticks=6,
+        nticks=6 if t1_s - t0_s >= 600 else 4,  # labels with seconds are wide
     )
     return figure
 

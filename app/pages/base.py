@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import dash
+from dash import no_update
 
 from app.runs import RunManager
 from app.settings import Settings
+from engine.errors import WattlaneError
 
 Query = Mapping[str, str]
 """First value of every key of an address's query."""
@@ -28,3 +30,13 @@ class Page:
     paths: tuple[str, ...]
     layout: Callable[[RunManager, Settings, str, Query], Any]
     register: Callable[[dash.Dash, RunManager, Settings], None]
+
+
+def opened(start: Callable[[], str]) -> tuple[Any, Any]:
+    """Starts a run for a form; start() returns its id. (sentence for the form, address of the run's page)."""
+    try:
+        return None, f"/operate?run={start()}"
+    except WattlaneError as error:
+        return str(error), no_update
+    except OSError as error:
+        return f"the disk refused: {error.strerror or error}", no_update

@@ -138,18 +138,16 @@ def marks(view: Any, end: float) -> list[dict[str, Any]]:
     return [{"t": e["time_s"], "level": e["level"]} for e in chosen[:MARKS]]
 
 
-def scenarios() -> dict[str, str]:
-    """Built-in scenarios: name → title."""
-    import engine.scenario
-
-    return dict(engine.scenario.library())
+def scenarios(manager: RunManager) -> dict[str, str]:
+    """Built-in and imported scenarios: name → title."""
+    return manager.scenarios.titles()
 
 
-def scenario_values(name: str) -> dict[str, Any]:
+def scenario_values(manager: RunManager, name: str) -> dict[str, Any]:
     """Settable keys of a scenario with their values, for the form: key → record of engine.scenario.parameters."""
     import engine.scenario
 
-    return {row["key"]: row for row in engine.scenario.parameters(engine.scenario.load(name))}
+    return {row["key"]: row for row in engine.scenario.parameters(manager.scenarios.load(name))}
 
 
 def planners() -> list[str]:

@@ -11,9 +11,10 @@ from dash import ClientsideFunction, Input, Output, State, dcc, html, no_update
 
 from app.components.basics import action_button, badge, empty, facts, section
 from app.ids import Operate, Shell, Start
+from app.library import fleet_overrides
 from app.pages import data
 from app.pages import stage as stage_page
-from app.pages.base import Page
+from app.pages.base import Page, opened
 from app.runs import RunManager
 from engine.errors import WattlaneError
 
@@ -26,7 +27,7 @@ def layout(manager: RunManager, settings: Any, run_id: str | None) -> html.Div:
     if run_id is None:
         live = manager.live()
         run_id = live[-1] if live else None
-    form = start_form(settings.scenario)
+    form = start_form(manager, settings.scenario)
     if run_id is None:
         return html.Div(
             [
@@ -96,9 +97,9 @@ def lifecycle(status: Mapping[str, Any]) -> list[Any]:
     return [resume, look]
 
 
-def start_form(scenario: str | None) -> html.Div:
+def start_form(manager: RunManager, scenario: str | None) -> html.Div:
     """Scenario, planner, fleet size, seed, order rate, and further parameters as lines."""
-    known = data.scenarios()
+    known = data.scenarios(manager)
     chosen = scenario if scenario in known else next(iter(known), None)
     return html.Div(
         [
@@ -228,10 +229,11 @@ def run_list(runs: Sequence[Mapping[str, Any]], current: str | None) -> Any:
 def started(manager: RunManager, values: Mapping[str, Any]) -> str:
     """Starts the run that the form describes; returns its id. Raises WattlaneError with the sentence to show."""
     overrides = data.overrides_from(values["more"])
-    known = data.scenario_values(values["scenario"])
-    for key, value in (("fleet.count", values["fleet"]), ("orders.rate_per_h", values["rate"])):
-        if value not in (None, "") and value != known[key]["value"]:
-            overrides.setdefault(key, value)
+    scenario = manager.scenarios.load(values["scenario"])
+    changes = {} if values["fleet"] in (None, "") else fleet_overrides(scenario, values["fleet"])
+    if values["rate"] not in (None, "", scenario.orders.rate_per_h):
+        changes["orders.rate_per_h"] = values["rate"]
+    overrides = {**changes, **overrides}
     seed = values["seed"]
     return manager.start(
         values["scenario"],
@@ -253,6 +255,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
 
     @app.callback(
         Output(Start.PLANNER, "value"),
+        Output(Start.PLANNER, "data"),
         Output(Start.OBJECTIVE, "value"),
         Output(Start.FLEET, "value"),
         Output(Start.SEED, "value"),
@@ -264,11 +267,12 @@ def register(app: dash.Dash, manager: RunManager) -> None:
     )
     def fill(name: str | None) -> Any:
         if not name:
-            return (no_update,) * 8
+            return (no_update,) * 9
         try:
-            known = data.scenario_values(name)
+            known = data.scenario_values(manager, name)
+            fits = list(manager.scenarios.planners(name))
         except WattlaneError as error:
-            return (*(no_update,) * 7, str(error))
+            return (*(no_update,) * 8, str(error))
         rate = known["orders.rate_per_h"]["value"]
         listed = known["orders.source"]["value"] != "poisson"
         keys = html.Dl(
@@ -280,7 +284,8 @@ def register(app: dash.Dash, manager: RunManager) -> None:
             ],
             style={"fontSize": "12px", "maxHeight": "220px", "overflow": "auto"},
         )
-        first = (known["planner.name"]["value"], known["planner.objective"]["value"], known["fleet.count"]["value"])
+        planner, objective = known["planner.name"]["value"], known["planner.objective"]["value"]
+        first = (planner, fits, objective, known["fleet.count"]["value"])
         return (*first, known["seed"]["value"], "" if rate is None else rate, listed, keys, None)
 
     @app.callback(
@@ -301,13 +306,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         if not clicks:
             return no_update, no_update
         names = ("scenario", "planner", "objective", "fleet", "seed", "rate", "more")
-        try:
-            run_id = started(manager, dict(zip(names, values, strict=True)))
-        except WattlaneError as error:
-            return str(error), no_update
-        except OSError as error:
-            return f"the disk refused: {error.strerror or error}", no_update
-        return None, f"/operate?run={run_id}"
+        return opened(lambda: started(manager, dict(zip(names, values, strict=True))))
 
     @app.callback(
         Output(Operate.RUNS, "children"),

@@ -13,10 +13,9 @@ from app.components.basics import action_button, badge, clock, empty, facts, sec
 from app.ids import Replay, Shell, Stage
 from app.pages import data
 from app.pages import stage as stage_page
-from app.pages.base import Page
+from app.pages.base import Page, opened
 from app.pages.operate import KIND_OF_STATUS, passport
 from app.runs import RunManager
-from engine.errors import WattlaneError
 
 SAME = "as recorded"
 
@@ -231,19 +230,15 @@ def register(app: dash.Dash, manager: RunManager) -> None:
     def fork(at: Any, config: Any, planner: str, seed: Any, more: str | None) -> tuple[Any, Any]:
         if not at or not config:
             return no_update, no_update
-        try:
-            run_id = manager.fork(
+        return opened(
+            lambda: manager.fork(
                 config["run"],
                 round(at["t"] / config["tick_s"]),
                 planner=None if planner == SAME else planner,
                 seed=int(seed) if seed not in (None, "") else None,
                 overrides=data.overrides_from(more),
             )
-        except WattlaneError as error:
-            return str(error), no_update
-        except OSError as error:
-            return f"the disk refused: {error.strerror or error}", no_update
-        return None, f"/operate?run={run_id}"
+        )
 
     app.clientside_callback(
         ClientsideFunction("wattlane", "forkAt"),

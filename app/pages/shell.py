@@ -22,7 +22,13 @@ from engine.errors import WattlaneError
 
 log = logging.getLogger(__name__)
 
-PAGES: tuple[str, ...] = ("app.pages.operate:PAGE", "app.pages.replay:PAGE")
+PAGES: tuple[str, ...] = (
+    "app.pages.operate:PAGE",
+    "app.pages.replay:PAGE",
+    "app.pages.learn:PAGE",
+    "app.pages.papers:PAGE",
+    "app.pages.scenarios:PAGE",
+)
 """In the order of the top bar; the first is also the start page."""
 
 KEYS: tuple[tuple[str, str], ...] = (

@@ -312,10 +312,10 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         except WattlaneError as error:
             answer["side"] = html.P(str(error), className="wl-error", role="alert")
             return answer
-        live = bool(status["alive"])
+        live = bool(status["alive"] and pulse["follow"])  # the past takes no commands
         answer |= tab_outputs(told, asked, pulse["scheme"], live)
         answer["side"] = side_panel(told, asked, live)
-        if pulse["live"] and not live:
+        if pulse["live"] and not status["alive"]:
             answer["banner"] = banner(status, pulse["page"])
         answer["extra"] = {
             "run": asked.run_id,

@@ -53,12 +53,14 @@
     return /^\d+$/.test(trimmed) ? Number(trimmed) * tickS : null;
   };
 
-  /** Sets properties of a Dash component; before the page is there it does nothing. */
-  wl.setProps = (id, props) => {
-    if (window.dash_clientside && window.dash_clientside.set_props && document.getElementById("wl-root")) {
-      window.dash_clientside.set_props(id, props);
-    }
+  /** Whether the present page has a Dash component with this id. Dash is asked, since a Store has no element; for an id
+   *  that its page does not have, it throws. */
+  const onPage = (id) => {
+    try { return window.dash_component_api.getLayout(id) !== undefined; } catch { return false; }
   };
+
+  /** Sets properties of a Dash component; when the present page does not have it, nothing. */
+  wl.setProps = (id, props) => { if (onPage(id)) window.dash_clientside.set_props(id, props); };
 
   let notices = 0;
   wl.notify = (title, message, level = "ok") => {

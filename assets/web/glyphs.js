@@ -5,7 +5,10 @@
 
   const STATES = ["idle", "moving", "waiting", "loading", "to-charger", "charging", "fault", "paused"];
   const WORDS = ["idle", "moving", "waiting", "loading", "to charger", "charging", "fault", "paused"];
-  const LOADED = 1, LOW = 2, UNKNOWN_SOC = 255, FULL_SOC = 250;
+  const TASKS = ["none", "to pick up", "to deliver", "to rest", "to charge", "sent"];
+  const LOADED = 1, LOW = 2, TASK_SHIFT = 2, UNKNOWN_SOC = 255, FULL_SOC = 250;
+  const WAITING = 2, LOADING = 3, TO_CHARGER = 4, CHARGING = 5, FAULT = 6, PAUSED = 7;
+  const TO_PICK = 1, TO_DROP = 2;
   const TINY_PX = 11;
   const VIRIDIS = ["#440154", "#482475", "#414487", "#355f8d", "#2a788e", "#21918c", "#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725"];
 
@@ -33,6 +36,7 @@
     const [a, b, part] = share < 0.5 ? [red, yellow, share * 2] : [yellow, green, share * 2 - 1];
     return hexOf(a.map((c, k) => Math.round(c + (b[k] - c) * part)));
   });
+  const POWER_RAMP = Array.from({ length: 21 }, (_, i) => hexOf(viridis(i / 20)));
   const ID_RAMP = ["#4e79a7", "#f28e2b", "#59a14f", "#e15759", "#b07aa1", "#76b7b2", "#edc948", "#9c755f",
     "#ff9da7", "#86bcb6", "#8cd17d", "#d37295"];
 
@@ -45,16 +49,23 @@
       "label", "arrow", "bolt", "blocked", "low", "select", "outline", "box", "route", "text", "surface"]) {
       palette[name.replace(/-(.)/, (_, c) => c.toUpperCase())] = colour(`map-${name}`);
     }
+    palette.task = TASKS.map((name) => colour(`task-${name.replace(/ /g, "-")}`));
     palette.thesis = { empty: colour("thesis-empty"), loaded: colour("thesis-loaded"), low: colour("thesis-low"), charged: colour("thesis-charged") };
     return palette;
   };
 
-  /** Body colour of a vehicle under a colouring (`state`, `soc`, `id`, `thesis`). */
-  const bodyColour = (palette, colouring, id, state, soc, flags) => {
+  /** Body colour of a vehicle under a colouring (`state`, `id`, `soc`, `task`, `power`, `thesis`). power: in parts of
+   *  the scale's top, negative while it charges, null when unknown. */
+  const bodyColour = (palette, colouring, { id, state, soc, flags, power }) => {
     if (colouring === "soc") return soc === UNKNOWN_SOC ? "#888888" : SOC_RAMP[Math.round((soc / FULL_SOC) * 20)];
+    if (colouring === "task") return palette.task[flags >> TASK_SHIFT] || palette.task[0];
+    if (colouring === "power") {
+      if (power === null || power === undefined) return "#888888";
+      return power < 0 ? palette.state[CHARGING] : POWER_RAMP[Math.round(Math.min(1, power) * 20)];
+    }
     if (colouring === "id") return ID_RAMP[id % ID_RAMP.length];
     if (colouring === "thesis") {
-      if (state === 5 && soc !== UNKNOWN_SOC && soc >= FULL_SOC / 2) return palette.thesis.charged;
+      if (state === CHARGING && soc !== UNKNOWN_SOC && soc >= FULL_SOC / 2) return palette.thesis.charged;
       if (flags & LOW) return palette.thesis.low;
       return flags & LOADED ? palette.thesis.loaded : palette.thesis.empty;
     }
@@ -211,5 +222,6 @@
     }
   }
 
-  wl.marks = { STATES, WORDS, LOADED, LOW, UNKNOWN_SOC, FULL_SOC, viridis, ink, readPalette, bodyColour, roundRect, bolt, cross, sign, vehicle, Atlas };
+  wl.marks = { STATES, WORDS, TASKS, LOADED, LOW, TASK_SHIFT, UNKNOWN_SOC, FULL_SOC, WAITING, LOADING, TO_CHARGER, CHARGING,
+    FAULT, PAUSED, TO_PICK, TO_DROP, viridis, ink, readPalette, bodyColour, roundRect, bolt, cross, sign, vehicle, Atlas };
 })();

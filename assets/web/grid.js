@@ -38,12 +38,11 @@
     return h("button", { type: "button", className: `wl-link${danger ? " danger" : ""}`, onClick: () => wl.command(command) }, text);
   };
 
-  /** An event's text: goes to its time and place. */
-  components.EventCell = (props) => {
-    const row = props.data;
+  /** Goes to the time and place of an event's row: on a double click, or on Enter. */
+  functions.wlGoToEvent = ({ data: row, event }) => {
+    if (!wl.stage || !row || (event instanceof KeyboardEvent && event.key !== "Enter")) return;
     const select = Number.isInteger(row.vehicle) ? { kind: "vehicle", id: row.vehicle } : Number.isInteger(row.place) ? { kind: "place", id: row.place, place: row.place } : null;
-    return h("button", { type: "button", className: "wl-link", title: "Go to its time and place",
-      onClick: () => wl.stage && wl.stage.act({ action: "goto", t: row.time_s, select }) }, props.value);
+    wl.stage.act({ action: "goto", t: row.time_s, select });
   };
 
   components.VehicleCell = (props) => (props.value === null || props.value === undefined || props.value < 0 ? h("span", {}, "–")

@@ -2,7 +2,7 @@
 (() => {
   "use strict";
   const wl = (window.wattlane = window.wattlane || {});
-  const { WORDS, LOADED, LOW, UNKNOWN_SOC, FULL_SOC } = wl.marks;
+  const { WORDS, TASKS, LOADED, LOW, TASK_SHIFT, UNKNOWN_SOC, FULL_SOC } = wl.marks;
   const el = wl.el;
   const BUCKETS = 32;            // headings for which a sprite is kept
   const VEHICLE_SHARE = 0.78;    // of a cell's side
@@ -12,7 +12,7 @@
   const SUBPIXEL_BELOW = 250;    // larger fleets snap to whole pixels: half the drawing time
   const LONG_PRESS_MS = 550;
   const TELEPORT_CELLS = 10;
-  const RESERVED_PLACES = 3;     // of a route, so many places ahead are drawn thick
+  const COLOURINGS = { state: "state", id: "number", soc: "state of charge", task: "task", power: "energy rate", thesis: "thesis colours" };
 
   wl.FleetMap = class {
     /** host: an empty element · hooks: select(selection, options), menu(target, x, y), place(place), layers(). */
@@ -31,6 +31,8 @@
       this.selection = null;
       this.follow = false;
       this.routes = [];
+      this.power = [];               // W per vehicle, over the last minute
+      this.powerTop = 0;
       this.blocked = new Set();
       this.chargersOut = new Set();
       this.frame = null;
@@ -95,6 +97,18 @@
     }
 
     setRoutes(routes) { this.routes = routes; this.pathsStale = true; this._wake(); }
+
+    /** watts: mean power of every vehicle, null where it is unknown. Returns true when the scale's top changed. */
+    setPower(watts) {
+      const most = Math.max(0, ...watts), before = this.powerTop;
+      this.power = watts;
+      if (most > before) {   // the scale only grows, in steps that a legend can show
+        const ten = 10 ** Math.floor(Math.log10(most));
+        this.powerTop = [1, 2, 5, 10].map((s) => s * ten).find((top) => top >= most);
+      }
+      this._wake();
+      return this.powerTop !== before;
+    }
 
     setBlocked(places, chargersOut) {
       const same = places.length === this.blocked.size && places.every((p) => this.blocked.has(p)) &&
@@ -181,14 +195,14 @@
         if (d < least) { least = d; best = i; }
       }
       if (best >= 0) return { kind: "vehicle", id: best };
-      const place = this._placeUnder(x, y);
+      const place = this._placeAtPoint(x, y);
       if (place === undefined) return null;
       if (this.chargerAt.has(place)) return { kind: "charger", id: this.chargerAt.get(place).number, place };
       if (this.stationAt.has(place)) return { kind: "station", id: this.stationAt.get(place).number, place };
       return { kind: "place", id: place, place };
     }
 
-    _placeUnder(x, y) {
+    _placeAtPoint(x, y) {
       if (x < 0 || y < 0 || x >= this.widthM || y >= this.heightM) return undefined;
       return this.network ? wl.network.pick(this, x, y) : this.placeAt.get(this._cellKey(x, y));
     }
@@ -475,7 +489,7 @@
       ctx.drawImage(this.paths, 0, 0);
     }
 
-    /** The plan ahead thin; what is held or reserved for the next moment thick; a ring at its end. */
+    /** The plan ahead thin; as far as nobody else is before it, thick; a ring at its end. */
     _strokeRoute(ctx, route, chosen) {
       const { floor, frame } = this, v = route.vehicle;
       if (!frame || v >= this.n || !route.places.length) return;
@@ -488,7 +502,7 @@
         const spot = floor.places[route.places[k]];
         if (!spot) continue;
         points.push(spot);
-        if (k < first + RESERVED_PLACES) held = points.length - 1;
+        if (k < route.held) held = points.length - 1;
       }
       if (points.length < 2) return;
       const line = (from, to, width, alpha) => {
@@ -538,15 +552,15 @@
       const scale = this.view.scale * dpr, whole = this.n > SUBPIXEL_BELOW;
       const ox = (this.cssW / 2) * dpr - this.view.x * scale, oy = (this.cssH / 2) * dpr + this.view.y * scale;
       const right = this.canvas.width + slot / 2, low = this.canvas.height + slot / 2;
-      const toBucket = BUCKETS / (2 * Math.PI), colouring = layers.colour;
+      const toBucket = BUCKETS / (2 * Math.PI);
       ctx.setTransform(1, 0, 0, 1, 0, 0);
       for (let i = 0; i < this.n; i++) {
         let x = ox + this.nowX[i] * scale, y = oy - this.nowY[i] * scale;
         if (x < -slot || y < -slot || x > right || y > low) continue;
         if (whole) { x = Math.round(x); y = Math.round(y); }
-        const state = frame.state[i], flags = frame.flags[i] & 3;
+        const state = frame.state[i], flags = frame.flags[i] & (LOADED | LOW);
         const bucket = ((Math.round(this.nowH[i] * toBucket) % BUCKETS) + BUCKETS) % BUCKETS;
-        const colour = wl.marks.bodyColour(palette, colouring, i, state, frame.soc[i], flags);
+        const colour = this._bodyColour(i);
         const key = `${colour}${state}|${flags}|${bucket}`;
         const at = this.sprites.at(key, (c, cx, cy) =>
           wl.marks.vehicle(c, cx, cy, size, { state, flags, colour, palette, heading: (bucket / BUCKETS) * 2 * Math.PI }));
@@ -563,6 +577,13 @@
         }
       }
       this._drawSelection(ctx, size, scale, ox, oy);
+    }
+
+    _bodyColour(i) {
+      const { frame, power } = this, watts = power[i];
+      const share = watts === null || watts === undefined ? null : this.powerTop > 0 ? watts / this.powerTop : 0;
+      return wl.marks.bodyColour(this.palette, this.layers.colour,
+        { id: i, state: frame.state[i], soc: frame.soc[i], flags: frame.flags[i], power: share });
     }
 
     _drawSelection(ctx, size, scale, ox, oy) {
@@ -668,7 +689,7 @@
 
     _placeUnder(px, py) {
       const [x, y] = this.toFloor(px, py);
-      return this._placeUnder(x, y);
+      return this._placeAtPoint(x, y);
     }
 
     _menu(clientX, clientY, px, py) {
@@ -716,6 +737,9 @@
       if (target.kind === "vehicle") {
         const { frame } = this, i = target.id, soc = frame.soc[i];
         const parts = [`Vehicle ${i}`, WORDS[frame.state[i]] || "?"];
+        const task = frame.flags[i] >> TASK_SHIFT;
+        if (task) parts.push(TASKS[task]);
+        if (this.layers.colour === "power" && typeof this.power[i] === "number") parts.push(`${Math.round(this.power[i])} W`);
         if (soc !== UNKNOWN_SOC) parts.push(`SoC ${Math.round((100 * soc) / FULL_SOC)} %${frame.flags[i] & LOW ? " (low)" : ""}`);
         if (frame.flags[i] & LOADED) parts.push("loaded");
         return parts.join(" · ");
@@ -741,8 +765,10 @@
     return wl.span(value);
   };
 
-  /** The legend, drawn with the marks of the map. */
-  wl.legend = (host, palette, colouring, scheme) => {
+  wl.COLOURINGS = COLOURINGS;
+
+  /** The legend of a map, drawn with the map's own marks. */
+  wl.legend = (host, { palette, layers, powerTop }) => {
     const dpr = Math.min(3, window.devicePixelRatio || 1), px = 20;
     const mark = (draw) => {
       const canvas = el("canvas", { width: px * dpr, height: px * dpr, "aria-hidden": "true" });
@@ -752,17 +778,24 @@
       draw(ctx, px / 2, px / 2);
       return canvas;
     };
-    const vehicle = (state, flags = 0, soc = 200) => mark((ctx, x, y) => wl.marks.vehicle(ctx, x, y, flags & LOW ? 11 : 14, {
-      state, flags, heading: 0, palette, colour: wl.marks.bodyColour(palette, colouring, state, state, soc, flags) }));
-    const rows = colouring === "thesis"
-      ? [[vehicle(1), "empty"], [vehicle(1, LOADED), "loaded"], [vehicle(1, LOW), "low"], [vehicle(5), "charged to 50 %"], [vehicle(6), "fault"]]
-      : [[1, "moving"], [3, "loading"], [2, "waiting"], [4, "to charger"], [5, "charging"], [0, "idle"], [7, "paused"], [6, "fault"]]
-        .map(([state, word]) => [vehicle(state), word]).concat([[vehicle(1, LOADED), "loaded"], [vehicle(1, LOW), "low battery"]]);
+    const vehicle = ({ id = 0, state = 1, flags = 0, soc = 200, power = 0 }) => mark((ctx, x, y) => wl.marks.vehicle(ctx, x, y,
+      flags & LOW ? 11 : 14, { state, flags: flags & (LOADED | LOW), heading: 0, palette,
+        colour: wl.marks.bodyColour(palette, layers.colour, { id, state, flags, soc, power }) }));
+    const signs = [[{ flags: LOADED }, "loaded"], [{ flags: LOW }, "low battery"]];
+    const watts = (share) => (powerTop > 0 ? `${(share * powerTop).toPrecision(2) * 1} W` : share ? "most" : "none");
+    const looks = {
+      state: [1, 3, 2, 4, 5, 0, 7, 6].map((state) => [{ state }, WORDS[state]]).concat(signs),
+      id: [[{ id: 0 }, "0"], [{ id: 1 }, "1"], [{ id: 2 }, "2"], [{ id: 3 }, "3, and so on"], ...signs],
+      soc: [0, 25, 50, 75, 100].map((percent) => [{ soc: (percent / 100) * FULL_SOC }, `${percent} %`]).concat(signs),
+      task: TASKS.map((word, task) => [{ flags: task << TASK_SHIFT }, task ? word : "no task"]).concat(signs),
+      power: [0, 0.25, 0.5, 1].map((power) => [{ power }, watts(power)]).concat([[{ state: 5, power: -1 }, "charging"], ...signs]),
+      thesis: [[{}, "empty"], [{ flags: LOADED }, "loaded"], [{ flags: LOW }, "low"], [{ state: 5 }, "charged to 50 %"], [{ state: 6 }, "fault"]],
+    };
+    const rows = looks[layers.colour].map(([look, word]) => [vehicle(look), word]);
     rows.push(
       [mark((ctx, x, y) => { ctx.fillStyle = palette.charger; wl.marks.roundRect(ctx, x - 8, y - 8, 16, 16, 2); ctx.fill(); wl.marks.bolt(ctx, x, y, 12, palette.bolt, null); }), "charger"],
       [mark((ctx, x, y) => { ctx.strokeStyle = palette.blocked; ctx.lineWidth = 1.5; ctx.beginPath(); ctx.rect(x - 8, y - 8, 16, 16); ctx.clip(); for (let d = -16; d <= 16; d += 4) { ctx.moveTo(x - 8 + d, y + 8); ctx.lineTo(x + 8 + d, y - 8); } ctx.rect(x - 8, y - 8, 16, 16); ctx.stroke(); }), "blocked"],
       [mark((ctx, x, y) => { ctx.strokeStyle = palette.route; ctx.lineCap = "round"; ctx.lineWidth = 4; ctx.globalAlpha = 0.7; ctx.beginPath(); ctx.moveTo(x - 10, y); ctx.lineTo(x - 1, y); ctx.stroke(); ctx.globalAlpha = 1; ctx.lineWidth = 1.4; ctx.beginPath(); ctx.moveTo(x - 10, y); ctx.lineTo(x + 10, y); ctx.stroke(); }), "route: reserved, planned"]);
     host.replaceChildren(...rows.map(([canvas, word]) => el("span", { class: "wl-legend-row" }, canvas, word)));
-    host.dataset.scheme = scheme;
   };
 })();

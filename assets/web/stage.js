@@ -4,7 +4,8 @@
   const wl = (window.wattlane = window.wattlane || {});
   const el = wl.el;
   const SPEEDS = [0.25, 0.5, 1, 2, 4, 8, 16, 32, 64];
-  const PULSE_MS = 700, PULSE_GIVE_UP_MS = 8000, ROUTES_MS = 500, HEAT_MS = 3000, ASK_MS = 30, VEIL_AFTER_MS = 2500;
+  const PULSE_MS = 700, PULSE_GIVE_UP_MS = 8000, ROUTES_MS = 500, POWER_MS = 1000, HEAT_MS = 3000, ASK_MS = 30, VEIL_AFTER_MS = 2500;
+  const ASKED_MS = 1500;   // how long a button shows what was asked for, until a frame shows that it is so
   const ROUTES_UP_TO = 40;
   const HEATS = { "": "no heat map", occupancy: "occupancy", waiting: "waiting", energy: "energy" };
   const LETTER = { vehicle: "v", station: "s", charger: "c", place: "p" };
@@ -22,7 +23,8 @@
       this.end = config.t_end || 0;
       this.playing = false;        // my own clock, when not following
       this.speed = 1;
-      this.sim = { paused: false, done: !config.live, asked: 1, reached: 0, tick: 0, time: this.end };
+      this.sim = { paused: false, done: !config.live, asked: 1, reached: 0, tick: 0, time: this.end };   // as reported
+      this.pausing = null;         // true or false while the simulation was asked to pause or go on, and has not yet
       this.link_state = "connecting";
       this.selection = null;
       this.marks = [];
@@ -87,6 +89,7 @@
       if (this.gone) return;
       this.frames.push(performance.now());
       if (!frame.replay) {
+        if (frame.paused === this.pausing) this.pausing = null;
         this.sim = { paused: frame.paused, done: frame.done, asked: frame.asked, reached: frame.reached, tick: frame.tick, time: frame.time };
         this.end = Math.max(this.end, frame.time);
         if (!this.follow) return;
@@ -113,9 +116,11 @@
       this._phase(status);
       if (typeof status.planner_p95_ms === "number") this.planner = status.planner_p95_ms;
       if (typeof status.sim_s === "number") this.end = Math.max(this.end, status.sim_s);
-      if (typeof status.paused === "boolean") this.sim.paused = status.paused;
-      if (typeof status.speed === "number") this.sim.reached = status.speed;
-      if (typeof status.asked === "number") this.sim.asked = status.asked;
+      if (!this.follow) {   // then no frame says it
+        if (typeof status.paused === "boolean") this.sim.paused = status.paused;
+        if (typeof status.speed === "number") this.sim.reached = status.speed;
+        if (typeof status.asked === "number") this.sim.asked = status.asked;
+      }
       if (status.done === true) this.sim.done = true;
       if (status.alive === false && this.config.live && !this.deadShown) {
         this.deadShown = true;
@@ -146,6 +151,7 @@
     seek(time, snap = false) {
       const clamped = Math.max(0, Math.min(this.end, time));
       this.follow = false;
+      this.pausing = null;
       this.snapNext = this.snapNext || snap || Math.abs(clamped - this.time) > 4;
       this.time = clamped;
       this.dirty = true;
@@ -156,6 +162,7 @@
     toLive() {
       if (this.config.page !== "operate" || !this.config.live) { this.playing = false; this.seek(this.end); return; }
       this.follow = true;
+      this.pausing = null;
       this.link.watchLive(true);
       this.playing = false;
       this.time = this.sim.time;
@@ -165,9 +172,7 @@
 
     step(ticks) {
       if (this.follow && ticks > 0) {
-        const go = () => wl.control(this.config.run, "step", { ticks });
-        if (this.sim.paused) go();
-        else wl.control(this.config.run, "pause").then((done) => { if (done) { this.sim.paused = true; go(); } });
+        wl.control(this.config.run, "step", { ticks });   // which also pauses
         return;
       }
       this.playing = false;
@@ -178,9 +183,11 @@
     toggle() {
       if (this.follow) {
         if (this.sim.done) { wl.notify("The run is finished", "Look back with the time ruler, or start another run.", "info"); return; }
-        const op = this.sim.paused ? "play" : "pause";
-        this.sim.paused = !this.sim.paused;
-        wl.control(this.config.run, op);
+        const pause = this._goesOn();
+        this.pausing = pause;
+        wl.control(this.config.run, pause ? "pause" : "play").then((done) => {
+          setTimeout(() => { if (this.pausing === pause) this.pausing = null; }, done ? ASKED_MS : 0);
+        });
         return;
       }
       this.playing = !this.playing;
@@ -188,6 +195,9 @@
       this.lastLoop = performance.now();
       if (this.playing) this.raf = requestAnimationFrame(this._loop);
     }
+
+    /** Whether the live simulation runs, or will in a moment: what its button offers to change. */
+    _goesOn() { return !this.sim.done && !(this.pausing ?? this.sim.paused); }
 
     setSpeed(speed) {
       if (this.follow) { wl.control(this.config.run, "speed", { speed }); this.sim.asked = speed; this.speedHeld = performance.now(); }
@@ -210,7 +220,7 @@
 
     _loop(now) {
       if (this.gone || !this.playing || this.follow) return;
-      const passed = Math.min(0.25, (now - this.lastLoop) / 1000);
+      const passed = Math.max(0, Math.min(0.25, (now - this.lastLoop) / 1000));   // the first frame may have begun before
       this.lastLoop = now;
       this.time += passed * this.speed;
       if (this.time >= this.end) { this.time = this.end; this.playing = false; }
@@ -224,12 +234,14 @@
 
     _beat() {
       if (this.gone) return;
+      if (!this.host.isConnected) { wl.bind(null); return; }   // another page has come
       const now = performance.now();
       this._showStatus(now);
       this._showTransport();
       this.ruler.draw(this);
       const moved = this.time !== this.routesTime || this.routesFor !== this._routesKey();
       if (moved && now - (this.routesAt || 0) > ROUTES_MS && !this.routesBusy) this._fetchRoutes(now);
+      if (this.map.layers.colour === "power" && now - (this.powerAt || 0) > POWER_MS && this.powerTime !== this.time) this._fetchPower(now);
       if (this.map.layers.heat && now - (this.heatAt || 0) > HEAT_MS && (this.heatTime !== this.time || this.heatKey !== this._heatKey())) this._fetchHeat(now);
       this._pulse(now);
     }
@@ -248,6 +260,15 @@
         if (!this.gone) this.map.setRoutes(Array.isArray(answer) ? answer : answer.routes || []);
       } catch { /* the link already says when the server is gone */ }
       this.routesBusy = false;
+    }
+
+    async _fetchPower(now) {
+      this.powerAt = now;
+      this.powerTime = this.time;
+      try {
+        const answer = await wl.fetchJson(wl.runPath(this.config.run, this.follow ? "/power" : `/power?t=${this.time}`));
+        if (!this.gone && this.map.setPower(answer.values)) wl.legend(this.legendHost, this.map);
+      } catch { /* the link already says when the server is gone */ }
     }
 
     _heatKey() { const { heat, window } = this.map.layers; return `${heat}|${window}`; }
@@ -361,22 +382,12 @@
     }
 
     menu(target, x, y) {
-      const live = this.config.live, items = [];
-      const add = (label, run, off = false) => items.push({ label, run, off });
+      const live = this.config.live && this.follow && !this.sim.done, items = [];   // the past takes no commands
+      const add = (label, run) => items.push({ label, run });
       if (target.kind === "vehicle") {
-        const v = target.id, state = this.map.frame.state[v];
         this.select(target, { from: "map" });
         add(this.map.follow ? "Stop following" : "Follow", () => this.toggleFollow());
-        add("Why waiting?", () => this.why(v));
-        if (live) {
-          add("Send to…", () => this.send(v));
-          if (state === 7) add("Continue", () => wl.command({ do: "continue", vehicle: v }));
-          else add("Pause", () => wl.command({ do: "pause", vehicle: v }));
-          add("Charge now", () => wl.command({ do: "charge", vehicle: v }));
-          add("Withdraw its order…", () => this.withdrawOf(v));
-          if (state === 6) add("Repair", () => wl.command({ do: "repair", vehicle: v }));
-          else add("Break down…", () => wl.command({ do: "fail", vehicle: v }));
-        }
+        this._vehicleMenu(add, target.id, live);
       } else {
         const label = this.map.cellName(target.place);
         add("Centre here", () => this.map.centreOn(target));
@@ -396,6 +407,21 @@
         }
       }
       openMenu(this.map.describe(target), items, x, y);
+    }
+
+    /** What can be done with a vehicle in its present state; the engine has the last word, and says why not. */
+    _vehicleMenu(add, v, live) {
+      const { state, flags, soc } = this.map.frame, is = (...states) => states.includes(state[v]);
+      const { WAITING, LOADING, TO_CHARGER, CHARGING, FAULT, PAUSED, TASK_SHIFT, TO_PICK, TO_DROP, FULL_SOC } = wl.marks;
+      const task = flags[v] >> TASK_SHIFT, command = (label, what) => add(label, () => wl.command({ do: what, vehicle: v }));
+      if (is(WAITING, FAULT, PAUSED)) add("Why waiting?", () => this.why(v));
+      if (!live) return;
+      if (!is(FAULT, PAUSED) && task !== TO_PICK && task !== TO_DROP) add("Send to…", () => this.send(v));
+      if (is(PAUSED)) command("Continue", "continue");
+      else if (!is(FAULT)) command("Pause", "pause");
+      if (!is(TO_CHARGER, CHARGING, FAULT) && soc[v] !== FULL_SOC) command("Charge now", "charge");
+      if (task === TO_PICK && !is(LOADING)) add("Withdraw its order…", () => this.withdrawOf(v));
+      command(...(is(FAULT) ? ["Repair", "repair"] : ["Break down…", "fail"]));
     }
 
     find(text) {
@@ -427,7 +453,7 @@
       for (const name of ["grid", "ids", "paths", "log"]) this.layersWanted[name] = words.has(name);
       for (const word of words) {
         if (word.startsWith("heat-") && word.slice(5) in HEATS) this.layersWanted.heat = word.slice(5);
-        if (word.startsWith("by-") && ["state", "soc", "id", "thesis"].includes(word.slice(3))) this.layersWanted.colour = word.slice(3);
+        if (word.startsWith("by-") && word.slice(3) in wl.COLOURINGS) this.layersWanted.colour = word.slice(3);
         if (/^w\d+$/.test(word)) this.layersWanted.window = Number(word.slice(1));
       }
     }
@@ -474,8 +500,8 @@
       while (this.frames.length && this.frames[0] < now - 2000) this.frames.shift();
       const rate = this.frames.length / 2;
       const lag = this.frames.length ? now - this.frames[this.frames.length - 1] : null;
-      const parts = [`${rate.toFixed(rate < 10 ? 1 : 0)} updates/s`];
-      if (lag !== null && rate > 0.5) parts.push(`lag ${Math.round(lag)} ms`);
+      const parts = rate > 0 || mode === "LIVE" ? [`${rate.toFixed(rate < 10 ? 1 : 0)} updates/s`] : [];
+      if (lag !== null && rate > 0.5 && mode === "LIVE") parts.push(`lag ${Math.round(lag)} ms`);
       if (this.planner !== null) parts.push(`planner p95 ${this.planner.toFixed(1)} ms`);
       const text = parts.join(" · ");
       if (now - (this.ratesAt || 0) > 500) { this.rates.textContent = text; this.ratesAt = now; }
@@ -521,7 +547,7 @@
     }
 
     _showTransport() {
-      const running = this.follow ? !this.sim.paused && !this.sim.done : this.playing;
+      const running = this.follow ? this._goesOn() : this.playing;
       const label = this.follow ? (running ? "Pause the simulation, for everyone (Space)" : "Continue the simulation, for everyone (Space)")
         : (running ? "Pause my view (Space)" : "Play my view (Space)");
       if (this.playButton.title !== label) {
@@ -586,7 +612,7 @@
       this.heatNote = el("div", { class: "wl-heat-scale" });
       this.layerPanel = el("div", { class: "wl-layers" },
         box("paths", "Routes (P)"), box("ids", "Numbers (I)"), box("grid", "Grid (G)"),
-        choice("colour", "Colour by", [["state", "state"], ["soc", "state of charge"], ["id", "number"], ["thesis", "thesis colours"]]),
+        choice("colour", "Colour by", Object.entries(wl.COLOURINGS)),
         choice("heat", "Heat map (H)", Object.entries(HEATS)),
         choice("window", "over the last", [[600, "10 min"], [3600, "1 h"], [28800, "8 h"], [0, "whole run"]]),
         box("log", "logarithmic scale"), this.heatNote);
@@ -595,12 +621,13 @@
 
     setLayers(change, quiet = false) {
       this.map.setLayers(change);
+      if ("colour" in change) this.powerTime = null;
       if ("heat" in change || "window" in change) { this.map.setHeat(null); this.heatAt = 0; this.heatTime = null; }
       for (const input of this.layerPanel.querySelectorAll("[data-layer]")) {
         const value = this.map.layers[input.dataset.layer];
         if (input.type === "checkbox") input.checked = value; else input.value = String(value);
       }
-      wl.legend(this.legendHost, this.map.palette, this.map.layers.colour, wl.scheme());
+      wl.legend(this.legendHost, this.map);
       this._showHeatScale();
       this.routesFor = null;
       if (!quiet) this._writeAddress();
@@ -623,7 +650,7 @@
     setTheme() {
       if (!this.map) return;
       this.map.setTheme();
-      wl.legend(this.legendHost, this.map.palette, this.map.layers.colour, wl.scheme());
+      wl.legend(this.legendHost, this.map);
       this.ruler.stale = true;
       this.dirty = true;
     }
@@ -636,15 +663,15 @@
   const openMenu = (title, items, x, y) => {
     closeMenu();
     const menu = el("div", { class: "wl-menu", role: "menu", "aria-label": title }, el("div", { class: "wl-menu-title" }, title));
-    for (const { label, run, off } of items) {
-      menu.append(el("button", { type: "button", role: "menuitem", disabled: off, onclick: () => { closeMenu(); run(); } }, label));
+    for (const { label, run } of items) {
+      menu.append(el("button", { type: "button", role: "menuitem", onclick: () => { closeMenu(); run(); } }, label));
     }
     document.body.append(menu);
     const box = menu.getBoundingClientRect();
     menu.style.left = `${Math.max(4, Math.min(x, innerWidth - box.width - 4))}px`;
     menu.style.top = `${Math.max(4, Math.min(y, innerHeight - box.height - 4))}px`;
     menu.addEventListener("keydown", (event) => {
-      const buttons = [...menu.querySelectorAll("button:not(:disabled)")], at = buttons.indexOf(document.activeElement);
+      const buttons = [...menu.querySelectorAll("button")], at = buttons.indexOf(document.activeElement);
       if (event.key === "ArrowDown") buttons[(at + 1) % buttons.length].focus();
       else if (event.key === "ArrowUp") buttons[(at - 1 + buttons.length) % buttons.length].focus();
       else if (event.key === "Escape") closeMenu();

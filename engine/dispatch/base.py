@@ -12,6 +12,8 @@ from engine.orders.book import OrderBook
 from engine.planners.base import Search
 from engine.types import NONE
 
+SAFETY = 1.25
+"""Waiting, restarts and detours over the energy of the quickest way on an empty floor."""
 NOBODY_FREE = "no vehicle is free"
 """The one refusal that is no news."""
 
@@ -54,6 +56,14 @@ class FloorView:
         ticks, mj = self.search.ticks_to(goal, state), self.search.energy_to(goal, state)
         driving = (mj - ticks * self.standby_mj) * (self.heaviest if loaded else 1.0)
         return int(driving) + ticks * self.standby_mj + self.search.restart_mj
+
+    def to_charger_mj(self, place: int) -> int:
+        """Energy of the way from a place to the nearest charger as the crow flies; 0 on a floor without."""
+        chargers = self.rests[self.is_charger[self.rests] == 1]
+        if len(chargers) == 0:
+            return 0
+        away = np.abs(self.xy[chargers] - self.xy[place]).sum(axis=1)
+        return self.need_mj(int(self.search.graph.place_ptr[place]), int(chargers[int(away.argmin())]), False)
 
     def nearest_rest(self, vehicle: int, place: int, chargers_only: bool, count: int = 3) -> list[int]:
         """The nearest free rest places by distance as the crow flies; the vehicle's own counts as free."""

@@ -8,11 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from engine.dispatch.base import NOBODY_FREE, Assignment, ChargingPolicy, FloorView, Refusal
+from engine.dispatch.base import NOBODY_FREE, SAFETY, Assignment, ChargingPolicy, FloorView, Refusal
 from engine.planners.base import NO_WAY
-
-SAFETY = 1.25
-"""Waiting, restarts and detours over the energy of the quickest way on an empty floor."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +65,4 @@ class Nearest:
         need = view.need_mj(int(view.at[v]), a, False)
         need += view.need_mj(int(graph.place_ptr[a]), b, True)
         need += sum(view.service_ticks) * view.standby_mj
-        chargers = view.rests[view.is_charger[view.rests] == 1]
-        if len(chargers):
-            away = abs(view.xy[chargers] - view.xy[b]).sum(axis=1)
-            need += view.need_mj(int(graph.place_ptr[b]), int(chargers[int(away.argmin())]), False)
-        return int(need * SAFETY)
+        return int((need + view.to_charger_mj(b)) * SAFETY)

@@ -1,211 +1,368 @@
-"""Differential drive with two DC motors (Lian et al. 2024, equations 1–8, corrected): motion to electrical energy.
+"""A vehicle on two driven wheels: kinematics, DC motors, and the electrical energy of trapezoidal speed profiles.
 
-Counter-clockwise positive: ω = (v_r − v_l)/d; the paper's equation 2 has the sign of its equation 3 turned round.
-Motor: U = R·i + L·di/dt + C_e·Ω, printed with Ω̇ for Ω. Energy is ∫ΣU·i dt, split into copper loss and the shaft's work
-against rolling resistance, for speeding up and for turning; shaft work is paid through the gear's efficiency. Braking
-gives back `regen` of what reaches the terminals, never more than the motion itself takes.
+Lian et al. 2024, equations (1)-(8). Angles are counter-clockwise: ω = (v_r - v_l)/d, which makes (3) the inverse of
+(1) and (2); the printed (2) has the other sign. The motor's balance of voltages is L·di/dt + R·i + C_e·Ω = U with Ω the
+rotor's speed (the printed Ω̇ would be volts per second); its balance of power is U·i = R·i² + C_e·Ω·i + d(½·L·i²)/dt.
+Over a motion primitive, which lasts a hundred times L/R = 9 ms, the inductance keeps nothing, so that i = τ/C_e.
 
-The schedule's ticks know no acceleration: a start speeds up over v/a seconds at constant a, wherever it happens, and
-what that adds over cruising is charged to the motion that starts. A pivot speeds up during a third of its time and
-slows down during another: the least copper loss of all such ramps.
+Energy is what the motors draw, ∫ΣU·i dt. The paper takes the kinetic energy for it, which is a state and no
+consumption; `kinetic_j` keeps that formula to be shown beside.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from engine.types import Component
-from engine.units import MM_PER_M
-from engine.world.motion_graph import Primitive
+from engine.errors import BadInput
 
 F64 = NDArray[np.float64]
 
-RAMP = 1 / 3
-"""Share of a pivot's time in which it speeds up, and in which it slows down."""
-CURRENT_LAG_S = 0.02
-"""How fast the current follows the wanted force in a drive cycle; a few times the motor's L/R of 9 ms."""
-
-
-class Motor(NamedTuple):
-    """A DC motor: resistance in Ω, inductance in H, electromotive force in V·s/rad (and so torque in N·m/A)."""
-
-    r_ohm: float
-    l_h: float
-    ce_vs: float
-
-    def voltage(self, current_a: float, speed_rad_s: float, slope_a_s: float = 0.0) -> float:
-        """Terminal voltage at a current, a shaft speed and a change of current."""
-        return self.r_ohm * current_a + self.ce_vs * speed_rad_s + self.l_h * slope_a_s
-
-
-def wheel_speeds(v_mps: float, omega: float, wheel_m: float, track_m: float) -> tuple[float, float]:
-    """Wheel speeds (left, right) in rad/s of a body that drives at v and turns counter-clockwise at ω (equation 3)."""
-    return (v_mps - omega * track_m / 2) / wheel_m, (v_mps + omega * track_m / 2) / wheel_m
-
-
-def body_speeds(left: float, right: float, wheel_m: float, track_m: float) -> tuple[float, float]:
-    """(v in m/s, ω in rad/s) of wheel speeds in rad/s; undoes wheel_speeds."""
-    return wheel_m * (left + right) / 2, wheel_m * (right - left) / track_m
-
-
-def kinetic_j(mass_kg: float, left: float, right: float, wheel_m: float, *, printed: bool = False) -> float:
-    """Kinetic energy from wheel speeds, inertia left out (equation 7): m·r²·(ω_l + ω_r)²/8; as printed m·r·(…)²/4."""
-    total = (left + right) ** 2
-    return mass_kg * wheel_m * total / 4 if printed else mass_kg * wheel_m**2 * total / 8
+SAMPLES = 128
+"""Samples per phase of a profile. Exact while the motors drive, for power is then linear in time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Parameters in SI units. wheel_m: radius · track_m: between the wheels · gear: motor turns per wheel turn."""
+    """Numbers of a drive with two equal motors, SI units; engine.energy.parameter_sets.lian2024 says their sources.
 
+    mu: rolling resistance · wheel_m: radius of the driven wheels · track_m: distance between them · gear: reduction
+    · gear_efficiency: of the gear, both ways · length_m, width_m: of the body, for its inertia m(length²+width²)/12
+    · resistance_ohm, inductance_h, emf_vs: R, L and C_e (V·s/rad, also the torque in N·m/A) of a motor
+    · accel_mps2, brake_mps2: of a trapezoidal profile up to v_mps · recovery: share of what a braking motor gives that
+    reaches the battery; 0 brakes by friction alone. Raises BadInput on numbers that no drive can have.
+    """
+
+    mu: float
+    g: float
     v_mps: float
     wheel_m: float
     track_m: float
     gear: float
     gear_efficiency: float
-    r_ohm: float
-    l_h: float
-    ce_vs: float
-    mu: float
-    g: float
-    accel_mps2: float
-    regen: float
     length_m: float
     width_m: float
-    standby_w: float
+    resistance_ohm: float
+    inductance_h: float
+    emf_vs: float
+    accel_mps2: float
+    brake_mps2: float
+    recovery: float
 
-    @property
-    def motor(self) -> Motor:
-        """One of the two motors."""
-        return Motor(self.r_ohm, self.l_h, self.ce_vs)
-
-    def current_a(self, force_n: float) -> float:
-        """Current of each motor for a force of both wheels on the ground; the gear helps to brake."""
-        torque = force_n * self.wheel_m / 2 / self.gear
-        return torque / self.ce_vs * (self.gear_efficiency if force_n < 0 else 1 / self.gear_efficiency)
-
-    def copper_j(self, force_n: float, time_s: float) -> float:
-        """Copper loss of both motors under a force for a time."""
-        return float(2 * self.r_ohm * self.current_a(force_n) ** 2 * time_s)
-
-    def inertia(self, mass_kg: float) -> float:
-        """Moment of inertia of the vehicle as a plate."""
-        return mass_kg * (self.length_m**2 + self.width_m**2) / 12
-
-    def joules(self, primitive: Primitive, mass_kg: float, duration_s: float) -> Mapping[Component, float]:
-        """Energy of one primitive in joules by component, standby excluded."""
-        rolling_n = self.mu * mass_kg * self.g
-        out = dict.fromkeys((Component.ROLLING, Component.STARTING, Component.TURNING, Component.COPPER), 0.0)
-        recovered = 0.0
-        if primitive.pivot:
-            recovered += self._pivot(out, math.radians(primitive.turn_deg), rolling_n, mass_kg, duration_s)
-        else:
-            length = primitive.length_mm / MM_PER_M
-            out[Component.ROLLING] = rolling_n * length / self.gear_efficiency
-            out[Component.COPPER] = self.copper_j(rolling_n, length / self.v_mps)
-            omega = math.radians(primitive.turn_deg) / duration_s
-            out[Component.TURNING] = self.inertia(mass_kg) * omega**2 / 2 / self.gear_efficiency
-        ramp_s, ramp_m = self.v_mps / self.accel_mps2, self.v_mps**2 / self.accel_mps2 / 2
-        if primitive.starts:
-            out[Component.STARTING] = mass_kg * self.v_mps**2 / 2 / self.gear_efficiency
-            fast = self.copper_j(rolling_n + mass_kg * self.accel_mps2, ramp_s)
-            out[Component.COPPER] += fast - self.copper_j(rolling_n, ramp_m / self.v_mps)
-        if primitive.stops:
-            recovered += self._braked(mass_kg * self.accel_mps2 - rolling_n, ramp_m, ramp_s)
-        back = min(self.regen * recovered, sum(out.values()))
-        return {**out, Component.RECOVERED: -back} if back > 0 else out
-
-    def _pivot(
-        self, out: dict[Component, float], angle: float, rolling_n: float, mass_kg: float, duration_s: float
-    ) -> float:
-        """Add a pivot's energy to `out`; returns what its braking gives at the terminals."""
-        ramp_s = RAMP * duration_s
-        top = angle / (duration_s - ramp_s)
-        ramp_angle = top * ramp_s / 2
-        friction = rolling_n * self.track_m / 2  # moment of the wheels' rolling resistance
-        swing = self.inertia(mass_kg) * top / ramp_s
-        out[Component.TURNING] = self.inertia(mass_kg) * top**2 / 2 / self.gear_efficiency
-        slowing = friction - swing
-        angles = angle - ramp_angle if slowing < 0 else angle
-        out[Component.ROLLING] = friction * angles / self.gear_efficiency
-        if slowing >= 0:
-            out[Component.TURNING] -= swing * ramp_angle / self.gear_efficiency
-        # a moment M is a couple of forces M/d at the wheels: as much current as a force of 2·M/d straight ahead
-        of = 2 / self.track_m
-        out[Component.COPPER] = self.copper_j(of * (friction + swing), ramp_s)
-        out[Component.COPPER] += self.copper_j(of * friction, duration_s - 2 * ramp_s)
-        if slowing >= 0:
-            out[Component.COPPER] += self.copper_j(of * slowing, ramp_s)
-            return 0.0
-        return self._braked(-of * slowing, self.track_m / 2 * ramp_angle, ramp_s)
-
-    def _braked(self, force_n: float, length_m: float, time_s: float) -> float:
-        """What reaches the terminals when the wheels brake with a force over a length."""
-        if force_n <= 0:
-            return 0.0
-        return max(force_n * length_m * self.gear_efficiency - self.copper_j(-force_n, time_s), 0.0)
+    def __post_init__(self) -> None:
+        may_be_zero = ("mu", "inductance_h", "recovery")
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < 0 or (value == 0 and name not in may_be_zero):
+                raise BadInput(f"a drive's {name} is {value:g}; expected a positive number")
+        for name in ("gear_efficiency", "recovery"):
+            if getattr(self, name) > 1:
+                raise BadInput(f"a drive's {name} is {getattr(self, name):g}; expected a share of at most 1")
 
 
-@dataclass(frozen=True, slots=True)
-class PaperDrive:
-    """The paper's own account (equations 6–8): each motion consumes its kinetic energy, and standby. Turning is free.
+def forward(v_l: ArrayLike, v_r: ArrayLike, track_m: float, printed: bool = False) -> tuple[F64, F64]:
+    """Speed v and turning rate ω (counter-clockwise) from the rim speeds of both wheels: equations (1) and (2).
 
-    Kinetic energy is a state and no consumption; this is here to be compared. printed: with the printed factor and
-    radius instead of the corrected ones.
+    printed: the paper's sign of (2), clockwise, which its own (3) does not invert.
     """
+    left, right = np.asarray(v_l, np.float64), np.asarray(v_r, np.float64)
+    rate = (left - right if printed else right - left) / track_m
+    return (left + right) / 2, rate
 
-    v_mps: float
-    wheel_m: float
-    printed: float
-    standby_w: float
 
-    def joules(self, primitive: Primitive, mass_kg: float, duration_s: float) -> Mapping[Component, float]:
-        """Kinetic energy at cruising speed for every motion over ground."""
-        if primitive.pivot or not primitive.length_mm:
-            return {}
-        wheel = self.v_mps / self.wheel_m
-        return {Component.RUNNING: kinetic_j(mass_kg, wheel, wheel, self.wheel_m, printed=bool(self.printed))}
+def inverse(v: ArrayLike, omega: ArrayLike, wheel_m: float, track_m: float) -> tuple[F64, F64]:
+    """Wheel speeds ω_l and ω_r in rad/s from v and ω: equation (3)."""
+    speed, half = np.asarray(v, np.float64), np.asarray(omega, np.float64) * track_m / 2
+    return (speed - half) / wheel_m, (speed + half) / wheel_m
+
+
+def kinetic_j(mass_kg: float, v_l: ArrayLike, v_r: ArrayLike, printed: bool = False) -> F64:
+    """Kinetic energy ⅛·m·(v_l + v_r)², the first line of (7); `printed` has ¼, twice too much. Inertia is left out."""
+    total = np.asarray(v_l, np.float64) + np.asarray(v_r, np.float64)
+    return np.asarray(mass_kg * total**2 * (0.25 if printed else 0.125))
+
+
+def kinetic_of_wheels_j(
+    mass_kg: float, omega_l: ArrayLike, omega_r: ArrayLike, wheel_m: float, printed: bool = False
+) -> F64:
+    """The same from wheel speeds, ⅛·m·r²·(ω_l + ω_r)², the second line of (7); `printed` has ¼·m·r, r not squared."""
+    total = np.asarray(omega_l, np.float64) + np.asarray(omega_r, np.float64)
+    return np.asarray(mass_kg * total**2 * (0.25 * wheel_m if printed else 0.125 * wheel_m**2))
+
+
+# ---------------------------------------------------------------- motor
 
 
 @dataclass(frozen=True, slots=True)
-class Cycle:
-    """One drive from rest to rest, sampled: arrays of equal length, per motor where it says so.
+class MotorRun:
+    """A motor over time, arrays of (T,); energies in joules since the start, at its terminals.
 
-    t_s, v_mps · current_a, voltage_v: of one motor · shaft_w, copper_w, power_w: of both, power at the terminals.
+    input_j = copper_j + shaft_j + field_j: the balance of equation (4) times i, integrated.
     """
 
     t_s: F64
+    current_a: F64
+    rotor_rad_s: F64
+    input_j: F64
+    copper_j: F64
+    shaft_j: F64
+    field_j: F64
+
+
+def run_motor(
+    drive: Drive,
+    voltage_v: Callable[[float], float],
+    duration_s: float,
+    rotor_inertia: float,
+    load_nm: float = 0.0,
+    start: tuple[float, float] = (0.0, 0.0),
+    samples: int = 201,
+) -> MotorRun:
+    """One motor with its inductance under a voltage over time, turning an inertia (kg·m²) against a constant load.
+
+    start: current in A and rotor speed in rad/s. Energies are integrated along with the motion, each for itself.
+    """
+    from scipy.integrate import solve_ivp
+
+    r, inductance, c = drive.resistance_ohm, drive.inductance_h, drive.emf_vs
+    if inductance <= 0:
+        raise BadInput("a motor without inductance has no transient; expected inductance_h above 0")
+
+    def slope(t: float, y: F64) -> list[float]:
+        i, rotor, u = float(y[0]), float(y[1]), voltage_v(t)
+        return [
+            (u - r * i - c * rotor) / inductance,
+            (c * i - load_nm) / rotor_inertia,
+            u * i,
+            r * i * i,
+            c * rotor * i,
+        ]
+
+    times = np.linspace(0.0, duration_s, samples)
+    step = inductance / r
+    found = solve_ivp(
+        slope, (0.0, duration_s), [*start, 0.0, 0.0, 0.0], t_eval=times, rtol=1e-9, atol=1e-10, max_step=step
+    )
+    i, rotor, given, copper, shaft = found.y
+    return MotorRun(times, i, rotor, given, copper, shaft, 0.5 * inductance * (i**2 - start[0] ** 2))
+
+
+@dataclass(frozen=True, slots=True)
+class MotorPoint:
+    """What one motor and the vehicle's two together do at constant speed."""
+
+    current_a: float
+    voltage_v: float
+    power_w: float
+    efficiency: float
+    rotor_rad_s: float
+
+
+def cruise(drive: Drive, mass_kg: float, speed_mps: float | None = None) -> MotorPoint:
+    """Both motors at constant speed on the level: i = τ/C_e, U = R·i + C_e·Ω, P = 2·U·i."""
+    speed = drive.v_mps if speed_mps is None else speed_mps
+    torque = drive.mu * mass_kg * drive.g / 2 * drive.wheel_m / drive.gear / drive.gear_efficiency
+    current, rotor = torque / drive.emf_vs, speed / drive.wheel_m * drive.gear
+    voltage = drive.resistance_ohm * current + drive.emf_vs * rotor
+    power = 2 * voltage * current
+    rolling = drive.mu * mass_kg * drive.g * speed
+    return MotorPoint(current, voltage, power, rolling / power if power else 0.0, rotor)
+
+
+# ---------------------------------------------------------------- profiles
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """A motion sampled at N midpoints; motors are (N, 2), left and right.
+
+    dt_s: (N,) length of each sample's interval · rolling_w, inertia_w: power of the motors against rolling resistance
+    and into motion, gear losses included · recovered_w: what flows back, never positive. Both motors together.
+    """
+
+    t_s: F64
+    dt_s: F64
     v_mps: F64
+    omega: F64
     current_a: F64
     voltage_v: F64
-    shaft_w: F64
     copper_w: F64
-    power_w: F64
+    rolling_w: F64
+    inertia_w: F64
+    recovered_w: F64
+
+    @property
+    def power_w(self) -> F64:
+        """(N,) drawn by the motors: the sum of U·i over both, less what recovery loses."""
+        return self.copper_w + self.rolling_w + self.inertia_w + self.recovered_w
 
 
-def drive_cycle(model: Drive, distance_m: float, mass_kg: float, dt_s: float = 0.001) -> Cycle:
-    """A trapezoidal drive over a distance; a triangle when it is too short to reach the cruising speed."""
-    accel = model.accel_mps2
-    top = min(model.v_mps, math.sqrt(accel * distance_m))
-    ramp, cruise = top / accel, (distance_m - top**2 / accel) / top
-    t: F64 = np.arange(0.0, 2 * ramp + cruise + 10 * CURRENT_LAG_S, dt_s)
-    v: F64 = np.clip(np.minimum(accel * t, accel * (2 * ramp + cruise - t)), 0.0, top)
-    a = np.where(t < ramp, accel, np.where((t >= ramp + cruise) & (t < 2 * ramp + cruise), -accel, 0.0))
-    force = mass_kg * a + model.mu * mass_kg * model.g * (v > 0)
-    wanted = np.array([model.current_a(f) for f in force.tolist()])
-    current = np.zeros_like(t)
-    keep = math.exp(-dt_s / CURRENT_LAG_S)
-    for k in range(1, len(t)):
-        current[k] = wanted[k] + (current[k - 1] - wanted[k]) * keep
-    slope: F64 = np.gradient(current, dt_s)
-    speed = v / model.wheel_m * model.gear
-    voltage = model.r_ohm * current + model.ce_vs * speed + model.l_h * slope
-    return Cycle(
-        t, v, current, voltage, 2 * model.ce_vs * speed * current, 2 * model.r_ohm * current**2, 2 * voltage * current
+@dataclass(frozen=True, slots=True)
+class Joules:
+    """Energy of a motion by cause, in joules; recovered is never positive."""
+
+    copper: float = 0.0
+    rolling: float = 0.0
+    inertia: float = 0.0
+    recovered: float = 0.0
+
+    @property
+    def total(self) -> float:
+        return self.copper + self.rolling + self.inertia + self.recovered
+
+    def __add__(self, other: Joules) -> Joules:
+        return self.plus(other, 1.0)
+
+    def __sub__(self, other: Joules) -> Joules:
+        return self.plus(other, -1.0)
+
+    def plus(self, other: Joules, times: float) -> Joules:
+        return Joules(
+            self.copper + times * other.copper,
+            self.rolling + times * other.rolling,
+            self.inertia + times * other.inertia,
+            self.recovered + times * other.recovered,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A part of a profile with constant accelerations: duration, v and ω at its start, and how fast they change."""
+
+    duration_s: float
+    v_mps: float = 0.0
+    accel_mps2: float = 0.0
+    omega: float = 0.0
+    alpha: float = 0.0
+
+
+def trace(drive: Drive, mass_kg: float, phases: tuple[Phase, ...], samples: int = SAMPLES) -> Trace:
+    """A motion through its phases, each sampled at the midpoints of equal intervals. Raises BadInput on none.
+
+    A motor whose power turns negative gives `recovery` of it back; where it would have to draw power to brake, and all
+    along without recovery, the friction brake does it.
+    """
+    kept = _lasting(phases)
+    middle = (np.arange(samples) + 0.5) / samples
+    local = np.concatenate([middle * p.duration_s for p in kept])
+    each = np.repeat(np.arange(len(kept)), samples)
+    return _trace(drive, mass_kg, kept, each, local, np.array([p.duration_s for p in kept])[each] / samples)
+
+
+def steady_trace(drive: Drive, mass_kg: float, phases: tuple[Phase, ...], dt_s: float) -> Trace:
+    """The same at the midpoints of steps of one length, as many as fit to the nearest: to be shown over time."""
+    kept = _lasting(phases)
+    ends = np.cumsum([p.duration_s for p in kept])
+    t = (np.arange(max(1, round(float(ends[-1]) / dt_s))) + 0.5) * dt_s
+    each = np.minimum(np.searchsorted(ends, t, side="right"), len(kept) - 1)
+    begins = np.concatenate([[0.0], ends[:-1]])
+    return _trace(drive, mass_kg, kept, each, t - begins[each], np.full(len(t), dt_s))
+
+
+def _lasting(phases: tuple[Phase, ...]) -> list[Phase]:
+    kept = [phase for phase in phases if phase.duration_s > 0]
+    if not kept:
+        raise BadInput("a motion without duration was given; expected at least one phase that lasts")
+    return kept
+
+
+def _trace(drive: Drive, mass_kg: float, phases: list[Phase], each: NDArray[np.intp], local: F64, dt_s: F64) -> Trace:
+    """(N,) samples: the phase of each, the time since it began, and the interval that it stands for."""
+    columns = np.array([[p.v_mps, p.accel_mps2, p.omega, p.alpha] for p in phases])[each]
+    v0, a, omega0, alpha = columns.T
+    begins = np.concatenate([[0.0], np.cumsum([p.duration_s for p in phases])])[each]
+    v, omega = v0 + a * local, omega0 + alpha * local
+
+    half = drive.track_m / 2
+    speed = np.stack([v - omega * half, v + omega * half], axis=1)
+    inertia = mass_kg * (drive.length_m**2 + drive.width_m**2) / 12
+    drag = np.sign(speed) * drive.mu * mass_kg * drive.g / 2
+    linear, angular = mass_kg * a / 2, inertia * alpha / drive.track_m
+    push = np.stack([linear - angular, linear + angular], axis=1)
+    force = drag + push
+    drives = force * speed >= 0
+
+    gain = np.where(drives, 1 / drive.gear_efficiency, drive.gear_efficiency)
+    current = force * drive.wheel_m / drive.gear * gain / drive.emf_vs
+    shaft = force * speed * gain
+    copper = drive.resistance_ohm * current**2
+    gives = ~drives & (copper + shaft < 0) & (drive.recovery > 0)
+    current = np.where(drives | gives, current, 0.0)
+    voltage = drive.resistance_ohm * current + drive.emf_vs * speed / drive.wheel_m * drive.gear
+
+    def driven(power: F64) -> F64:
+        return np.asarray(np.where(drives, power, 0.0).sum(axis=1))
+
+    return Trace(
+        t_s=begins + local,
+        dt_s=dt_s,
+        v_mps=v,
+        omega=omega,
+        current_a=current,
+        voltage_v=voltage,
+        copper_w=driven(copper),
+        rolling_w=driven(drag * speed * gain),
+        inertia_w=driven(push * speed * gain),
+        recovered_w=np.where(gives, drive.recovery * (copper + shaft), 0.0).sum(axis=1),
     )
+
+
+def joules_of(path: Trace) -> Joules:
+    """A trace integrated over time."""
+    parts = (path.copper_w, path.rolling_w, path.inertia_w, path.recovered_w)
+    return Joules(*(float(power @ path.dt_s) for power in parts))
+
+
+def trapezoid(drive: Drive, distance_m: float) -> tuple[Phase, ...]:
+    """Phases from rest to rest over a distance: up, cruise, down; a triangle when the distance is too short."""
+    a, b = drive.accel_mps2, drive.brake_mps2
+    top = min(drive.v_mps, float(np.sqrt(2 * distance_m / (1 / a + 1 / b))))
+    level = distance_m - top**2 / 2 * (1 / a + 1 / b)
+    return Phase(top / a, 0.0, a), Phase(max(level, 0.0) / top, top), Phase(top / b, top, -b)
+
+
+def rotation(angle_rad: float, duration_s: float, v_mps: float = 0.0) -> tuple[Phase, ...]:
+    """Phases of a turn within a duration, at constant speed: a third of it up, a third level, a third down."""
+    third = duration_s / 3
+    top = 1.5 * angle_rad / duration_s
+    alpha = top / third
+    return (
+        Phase(third, v_mps, 0.0, 0.0, alpha),
+        Phase(third, v_mps, 0.0, top, 0.0),
+        Phase(third, v_mps, 0.0, top, -alpha),
+    )
+
+
+# ---------------------------------------------------------------- motion primitives
+
+
+@lru_cache(maxsize=4096)
+def cruise_j_per_m(drive: Drive, mass_kg: float) -> Joules:
+    """Energy per metre at constant speed."""
+    return joules_of(trace(drive, mass_kg, (Phase(1 / drive.v_mps, drive.v_mps),), 1))
+
+
+@lru_cache(maxsize=4096)
+def start_j(drive: Drive, mass_kg: float) -> Joules:
+    """What a start and the stop that follows it some time add to cruising over the whole way.
+
+    Both ramps less cruising over their distance, so that the primitives of a drive sum to its trapezoid wherever it
+    stops. Rolling out on kinetic energy spares driving, hence `rolling` and often `copper` of the stop count against
+    the start.
+    """
+    a, b, v = drive.accel_mps2, drive.brake_mps2, drive.v_mps
+    ramps = joules_of(trace(drive, mass_kg, (Phase(v / a, 0.0, a), Phase(v / b, v, -b))))
+    return ramps.plus(cruise_j_per_m(drive, mass_kg), -(v**2) / 2 * (1 / a + 1 / b))
+
+
+@lru_cache(maxsize=4096)
+def turn_j(drive: Drive, mass_kg: float, angle_rad: float, duration_s: float, v_mps: float) -> Joules:
+    """What turning within a duration adds to driving straight at v_mps; on the spot when that is 0."""
+    turning = joules_of(trace(drive, mass_kg, rotation(angle_rad, duration_s, v_mps)))
+    if not v_mps:
+        return turning
+    return turning - joules_of(trace(drive, mass_kg, (Phase(duration_s, v_mps),), 1))

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from engine.errors import InvariantBroken
 from engine.types import FOREVER
 
 
@@ -74,6 +75,30 @@ class Listed:
 
     def restore(self, plain: Mapping[str, Any]) -> None:
         self._at = int(plain["at"])
+
+
+class NoOrders:
+    """None at all: the vehicles drive to goals of their own."""
+
+    next_tick = FOREVER
+
+    def take(self) -> tuple[int, int, int]:
+        raise InvariantBroken("there is no order to take")
+
+    def see(self, open_orders: int) -> None:
+        """Nobody waits."""
+
+    def set_rate(self, per_h: float, tick: int) -> str:
+        return "the vehicles of this scenario drive to goals of their own; there is no rate to change"
+
+    def start_at(self, tick: int) -> None:
+        """Nothing starts."""
+
+    def to_plain(self) -> dict[str, Any]:
+        return {}
+
+    def restore(self, plain: Mapping[str, Any]) -> None:
+        """Nothing to restore."""
 
 
 class Poisson:

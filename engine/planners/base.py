@@ -150,7 +150,12 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """What a planner serves and guarantees; menus offer only what fits."""
+    """What a planner serves and guarantees; menus offer only what fits.
+
+    mode: `lifelong` answers one vehicle's request at a time, `one-shot` plans all vehicles to their goals at once
+    · connectivity: neighbours of a cell · turnings: of `motion.turning` · unit: needs motions of one tick each
+    · cells: needs a floor of cells, not a network.
+    """
 
     summary: str
     legal: bool = True
@@ -159,6 +164,10 @@ class Promise:
     occupancies: frozenset[Occupancy] = frozenset(Occupancy)
     objectives: tuple[str, ...] = ("time",)
     mode: frozenset[str] = frozenset({"lifelong"})
+    connectivity: frozenset[int] = frozenset({4, 8})
+    turnings: frozenset[str] = frozenset({"arc", "pivot"})
+    unit: bool = False
+    cells: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from engine.planners.constraint_tree import Settings, solve_tree
 from engine.planners.kernels.cbs_low import lift
-from engine.planners.oneshot import Limits, Problem, Solution
+from engine.planners.oneshot import Limits, Problem, Solution, at_once
 from engine.world.motion_graph import MotionGraph
 
 I32 = NDArray[np.int32]
@@ -34,6 +34,11 @@ class CBS:
     cover: int = 3
     target: bool = True
     tries: int = 2
+
+    promise = at_once(
+        "the least sum of arrival times, all vehicles at once", optimal="for the fleet, in time", complete=True,
+        objectives=("time",), turnings=("arc", "pivot"),
+    )  # fmt: skip
 
     def solve(self, problem: Problem, limits: Limits, *, trace: bool = False) -> Solution:
         """Least sum of ticks until each vehicle's last arrival."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -22,16 +22,23 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 MILLION = 1_000_000
+CHUNK_NODES, CHUNK_WORK = 200, 500_000
+"""Work between two looks at the limits."""
+PAIR_NODES, PAIR_WORK = 200, 500_000
+"""Work for the optimum of one pair; what is proven by then is its bound."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the tree may do. cover: 0 none, 1 CG, 2 DG, 3 WDG · tries: prioritized orders for the incumbent."""
+    """What the tree may do. cover: 0 none, 1 CG, 2 DG, 3 WDG · pairs: bounds from the optima of pairs · tries:
+    prioritized orders for the incumbent.
+    """
 
     disjoint: bool = True
     cardinal: bool = True
     bypass: bool = True
     cover: int = 0
+    pairs: bool = False
     target: bool = True
     branch: bool = False
     tries: int = 4
@@ -44,7 +51,7 @@ class Settings:
         out[high.DISJOINT], out[high.CARDINAL] = self.disjoint, self.cardinal
         out[high.BYPASS], out[high.COVER] = self.bypass, self.cover
         out[high.TARGET], out[high.BRANCH], out[high.TRIES] = self.target, self.branch, self.tries
-        out[high.W_MILLION] = round(self.w * MILLION)
+        out[high.PAIRED], out[high.W_MILLION] = self.pairs, round(self.w * MILLION)
         return out
 
 
@@ -129,16 +136,19 @@ class _Room:
         rows = int(np.clip(64_000_000 // (4 * places), 4, places))
         slots, t = 4 * nodes, self.ticks
 
-        def i32(size: int) -> I32:
-            return np.zeros(size, np.int32)
+        def i32(*shape: int) -> I32:
+            return np.zeros(shape, np.int32)
 
+        by_place = i32(places, 4)
+        by_place[:, low.ROW] = -1
+        bans = low.Bans(
+            np.zeros(8, np.int64), np.zeros(16 * t, np.int64), i32(16 * t), i32(2 * t + 8, 5), by_place,
+            np.empty((rows, places), np.int32), np.zeros(1, np.int64),
+        )  # fmt: skip
+        others = low.Others(i32(2, t * places), i32(places, 2), np.array([0, 0, t], np.int64))
         return low.Work(
-            i32(nodes), i32(nodes), np.zeros(nodes, np.int64), i32(nodes), i32(nodes), np.zeros(heap, np.int64),
-            i32(heap), np.zeros(slots, np.int64), i32(slots), i32(slots), np.zeros(8, np.int64),
-            np.zeros(4, np.int64), np.zeros(16 * t, np.int64), i32(16 * t), i32(2 * t + 8), i32(2 * t + 8),
-            i32(2 * t + 8), i32(2 * t + 8), i32(2 * t + 8), i32(places), i32(places), i32(t * places),
-            i32(t * places), np.array([0, t], np.int64), i32(places), i32(places), i32(t),
-            np.full(places, -1, np.int32), np.empty((rows, places), np.int32), np.zeros(1, np.int64), i32(places),
+            bans, others, i32(nodes, 4), np.zeros(nodes, np.int64), np.zeros(heap, np.int64), i32(heap),
+            np.zeros(slots, np.int64), i32(slots, 2), np.zeros(1, np.int64), i32(t),
         )  # fmt: skip
 
     def _new_layers(self, nodes: int) -> low.Layers:
@@ -152,26 +162,18 @@ class _Room:
         )  # fmt: skip
 
     def _new_tree(self, nodes: int, recs: int, arena: int) -> high.Tree:
-        def i32(size: int) -> I32:
-            return np.zeros(size, np.int32)
-
-        def i64(size: int) -> I64:
-            return np.zeros(size, np.int64)
-
-        heap, pairs = 3 * nodes + 64, 1 << 14
+        heap, pairs, i32, i64 = 3 * nodes + 64, 1 << 14, np.int32, np.int64
         return high.Tree(
-            i32(nodes), i32(nodes), np.zeros(nodes, np.int8), i32(nodes), i32(nodes), i32(nodes), i64(nodes),
-            i64(nodes), i64(nodes), np.zeros(nodes, np.int8), i32(nodes), np.zeros(nodes, np.int8),
-            np.zeros(nodes), np.zeros(nodes), np.zeros((nodes, self.n), np.int32), i64(recs), i32(recs), i64(recs),
-            i64(recs), i32(recs), i32(recs), np.zeros(recs, np.int8), i32(arena), np.zeros(arena, np.int8), i32(self.n),
-            i64(heap), i32(heap), i64(heap), i32(heap), i64(heap), i32(heap), i64(pairs), i64(pairs), i32(pairs),
-            i64(32),
+            np.zeros((nodes, 15), i32), np.zeros((nodes, 3), i64), np.zeros((nodes, 2)),
+            np.zeros((nodes, self.n), i32), np.zeros((recs, 7), i64), np.zeros(arena, i32), np.zeros(arena, np.int8),
+            np.zeros(self.n, i32), np.zeros((3, heap), i64), np.zeros((3, heap), i32), np.zeros(pairs, i64),
+            np.zeros(pairs, i64), np.zeros(pairs, i32), np.zeros(32, i64),
         )  # fmt: skip
 
     def grow(self) -> None:
         """More room where it ran short."""
         t = self.tree
-        nodes, recs, arena = len(t.parent), len(t.rec_len), len(t.states)
+        nodes, recs, arena = len(t.node), len(t.way), len(t.states)
         used = t.num
         more_nodes = used[high.NODES] + 4 >= nodes or any(
             3 * nodes + 64 <= used[slot] + 8 for slot in (high.HEAP, high.FOCAL, high.WAITING)
@@ -191,7 +193,7 @@ class _Room:
         longest = int(used[high.LONGEST])
         if 2 * longest + 16 >= self.ticks or not (more_nodes or more_recs or more_arena):
             self.ticks *= 2
-            size = len(self.work.state) * 2
+            size = len(self.work.node) * 2
             self.work = self._new_work(size, size + len(self.roads.place))
             if len(self.layers[0].state) < 65_536:
                 self.layers = [self._new_layers(len(self.layers[0].state) * 2) for _ in range(2)]
@@ -209,6 +211,7 @@ def _new_desk(n: int, places: int) -> high.Desk:
     return high.Desk(
         i32(places), i64(places), i64(1), i32(room), i32(room), i32(room), i32(room), i32(room), i64(1), i32(n), i64(8),
         np.zeros((n, n), np.int64), i32(n), i64(n), i32(3 * n + 3), i64(joint), i32(joint), i64(joint), i64(1),
+        i64(1 << high.MATCHED), np.zeros((2, 5), np.int64),
     )  # fmt: skip
 
 
@@ -301,42 +304,75 @@ def solve_tree(
         k = int(np.argmax(h0 >= FAR))
         return Solution(PlanStatus.NO_PATH, (), 0, 0, 0, 0, f"vehicle {k} has no way to its goal"), on_places, []
     case = high.Case(
-        starts, goals, cls, room.h, _mass(problem), np.array(settings.weights), orders_of(h0, settings.tries)
+        starts, goals, cls, room.h, _mass(problem), np.array(settings.weights), orders_of(h0, settings.tries),
+        np.zeros((n, n), np.int64),
     )  # fmt: skip
     options = settings.options()
+    _begin(room)
+    if settings.pairs and n > 2 and _go(room, case, options, replace(limits, nodes=0)) == high.MORE:
+        _pair_costs(room, _room((graph if energy else roads), roads, 2), case, options, limits)
+    ended = _go(room, case, options, limits)
+    return _answer(room, graph, settings, ended, energy, trace), on_places, _ways(room)
+
+
+def _begin(room: _Room) -> None:
+    """An empty tree."""
     num = room.tree.num
     stamp = num[high.PAIR_STAMP] + 1
     num[:] = 0
     num[high.PAIR_STAMP], num[high.BEST_COST] = stamp, high.NEVER
+
+
+def _go(room: _Room, case: high.Case, options: I64, limits: Limits) -> int:
+    """Run the tree within limits, making room where it runs short; how it ended."""
     while True:
         num = room.tree.num
-        nodes = min(limits.nodes - int(num[high.HIGH]), 5_000)
-        work = min(limits.expansions - int(num[high.LOW]), 500_000)
-        ended = high.run(
-            room.roads, room.work, case, room.tree, room.desk, room.layers[0], room.layers[1], options, nodes, work
+        nodes = min(limits.nodes - int(num[high.HIGH]), CHUNK_NODES)
+        work = min(limits.expansions - int(num[high.LOW]), CHUNK_WORK)
+        ended = int(
+            high.run(
+                room.roads, room.work, case, room.tree, room.desk, room.layers[0], room.layers[1], options, nodes, work
+            )
         )
         num = room.tree.num
         if ended == high.GROW:
             room.grow()
-        if ended in (high.DONE, high.EMPTY):
-            break
-        if num[high.HIGH] >= limits.nodes or num[high.LOW] >= limits.expansions or limits.stop():
-            break
-    return _answer(room, settings, ended, energy, trace), on_places, _ways(room)
+        elif ended != high.MORE:
+            return ended
+        spent = num[high.HIGH] >= limits.nodes or num[high.LOW] >= limits.expansions or limits.stop()
+        if spent and (ended == high.MORE or limits.nodes > 0):  # the root always gets its room
+            return ended
+
+
+def _pair_costs(room: _Room, two: _Room, case: high.Case, options: I64, limits: Limits) -> None:
+    """Fill case.pair for the pairs in conflict at the root: what they cost at least, alone with each other."""
+    desk, options = room.desk, options.copy()
+    options[high.PAIRED], options[high.COVER], options[high.W_MILLION] = 0, 0, MILLION
+    found = int(desk.found[0])
+    for i, j in sorted(set(zip(desk.a[:found].tolist(), desk.b[:found].tolist(), strict=True))):
+        both = np.array([i, j])
+        alone = high.Case(
+            case.start[both], case.goal[both], case.cls[both], case.h[both], case.mass[both], case.weights,
+            np.array([[0, 1], [1, 0]], np.int32), np.zeros((2, 2), np.int64),
+        )  # fmt: skip
+        _begin(two)
+        _go(two, alone, options, replace(limits, nodes=PAIR_NODES, expansions=PAIR_WORK))
+        case.pair[i, j] = case.pair[j, i] = two.tree.num[high.BOUND]
+        room.tree.num[high.LOW] += two.tree.num[high.LOW]
 
 
 def _ways(room: _Room) -> list[I32]:
     t = room.tree
     if not t.num[high.BEST]:
         return []
-    first, length = t.rec_first[t.best].tolist(), t.rec_len[t.best].tolist()
+    first, length = t.way[t.best, high.FIRST].tolist(), t.way[t.best, high.LENGTH].tolist()
     return [t.states[i : i + k + 1].copy() for i, k in zip(first, length, strict=True)]
 
 
-def _answer(room: _Room, settings: Settings, ended: int, energy: bool, trace: bool) -> Solution:
+def _answer(room: _Room, graph: MotionGraph, settings: Settings, ended: int, energy: bool, trace: bool) -> Solution:
     num = room.tree.num
     found = bool(num[high.BEST])
-    bound = int(room.tree.low[0] if settings.branch else num[high.BOUND])
+    bound = int(room.tree.worth[0, high.PROVEN] if settings.branch else num[high.BOUND])
     cost = int(num[high.BEST_COST]) if found else 0
     if found:
         bound = min(bound, cost)
@@ -348,26 +384,74 @@ def _answer(room: _Room, settings: Settings, ended: int, energy: bool, trace: bo
         status = PlanStatus.SOLVED if cost == bound else PlanStatus.BOUNDED
     else:
         status = PlanStatus.BUDGET_SPENT
-    columns = {"tree": tree_columns(room, energy)} if trace else {}
+    columns = tree_columns(room, graph, energy) if trace else {}
     return Solution(status, (), cost, bound, int(num[high.HIGH]), int(num[high.LOW]), note, columns)
 
 
-def tree_columns(room: _Room, energy: bool) -> Mapping[str, NDArray[Any]]:
-    """The constraint tree, a row per node. energy: mJ, or -1 where the tree counts ticks."""
+def tree_columns(room: _Room, graph: MotionGraph, energy: bool) -> dict[str, Mapping[str, NDArray[Any]]]:
+    """What the search did, as tables `tree`, `plans` and `ways`.
+
+    tree, a row per node: node, parent (-1 at the root) · the constraint it adds to its parent's: agent, kind (see
+    KINDS), place, place2 (of a motion, else -1), tick, positive · cost, low (proven for its plan), h (of the tree),
+    f = low + h, all in ticks or mJ, energy (mJ, -1 where the tree counts ticks) · n_conflicts · turn in which it was
+    expanded, from 0, or -1 · the conflict it was expanded on, -1 where it wasn't: a (constrained first), b, at,
+    at2 (of a swap: a drives at → at2, else -1), conflict_tick · dp_low, dp_high: dynamic priorities of a and b
+    · status: 0 open, 1 expanded, 2 pruned, 3 its plan is the answer.
+    plans: node, vehicle, way. ways: way, tick, place, state (-1 where the search knows places only).
+    """
     t, n = room.tree, int(room.tree.num[high.NODES])
-    return {
+    node, worth = t.node[:n].copy(), t.worth[:n].copy()
+    best = int(t.num[high.BEST_NODE])
+    if t.num[high.BEST] and best >= 0:
+        node[best, high.STATUS] = high.ANSWER
+    names = ("parent", "agent", "kind", "place", "place2", "tick", "n_conflicts", "status", "turn")
+    at = (
+        high.PARENT, high.AGENT, high.KIND, high.PLACE, high.PLACE2, high.TICK, high.CLASHES, high.STATUS, high.TURN
+    )  # fmt: skip
+    tree: dict[str, NDArray[Any]] = {
         "node": np.arange(n, dtype=np.int32),
-        "parent": t.parent[:n].copy(),
-        "agent": t.agent[:n].copy(),
-        "kind": t.kind[:n].copy(),
-        "place": t.place[:n].copy(),
-        "place2": t.place2[:n].copy(),
-        "tick": t.tick[:n].copy(),
-        "positive": np.isin(t.kind[:n], (high.AT, high.OVER, high.BY_THEN)),
-        "cost": t.cost[:n].copy(),
-        "energy": t.cost[:n].copy() if energy else np.full(n, -1, np.int64),
-        "n_conflicts": t.conflicts[:n].copy(),
-        "dp_low": t.dp_low[:n].copy(),
-        "dp_high": t.dp_high[:n].copy(),
-        "status": t.status[:n].copy(),
+        **{name: node[:, column] for name, column in zip(names, at, strict=True)},
+        **{name: node[:, high.CONFLICT + k] for k, name in enumerate(("a", "b", "at", "at2", "conflict_tick"))},
+        "positive": np.isin(node[:, high.KIND], (high.AT, high.OVER, high.BY_THEN)),
+        "cost": worth[:, high.COST],
+        "low": worth[:, high.PROVEN],
+        "h": worth[:, high.H],
+        "f": worth[:, high.PROVEN] + worth[:, high.H],
+        "energy": worth[:, high.COST] if energy else np.full(n, -1, np.int64),
+        "dp_low": t.priority[:n, 0].copy(),
+        "dp_high": t.priority[:n, 1].copy(),
     }
+    vehicles = room.n
+    used, way = np.unique(t.rec[:n], return_inverse=True)
+    plans: dict[str, NDArray[Any]] = {
+        "node": np.repeat(np.arange(n, dtype=np.int32), vehicles),
+        "vehicle": np.tile(np.arange(vehicles, dtype=np.int32), n),
+        "way": way.ravel().astype(np.int32),
+    }
+    spans = t.way[used, high.LENGTH] + 1
+    tick = np.arange(int(spans.sum())) - np.repeat(np.cumsum(spans) - spans, spans)
+    states = t.states[np.repeat(t.way[used, high.FIRST], spans) + tick]
+    on_places = len(room.roads.place) == graph.n_places
+    ways: dict[str, NDArray[Any]] = {
+        "way": np.repeat(np.arange(len(used), dtype=np.int32), spans),
+        "tick": tick.astype(np.int32),
+        "place": room.roads.place[states].astype(np.int32),
+        "state": np.full(len(states), -1, np.int32) if on_places else states,
+    }
+    return {"tree": tree, "plans": plans, "ways": ways}
+
+
+KINDS = (
+    "root", "not at place at tick", "not over motion at tick", "at place at tick", "over motion at tick",
+    "last arrival later than tick", "last arrival by tick",
+)  # fmt: skip
+"""What the constraint kinds 0…6 of a tree demand of their agent; the last three bind the other vehicles as well."""
+
+
+def paths_of(trace: Mapping[str, Mapping[str, NDArray[Any]]], node: int) -> list[I32]:
+    """Places of every vehicle by tick, up to its last arrival, in the plan of a node of a traced tree."""
+    plans, ways = trace["plans"], trace["ways"]
+    chosen = plans["way"][plans["node"] == node]
+    first = np.searchsorted(ways["way"], chosen)
+    last = np.searchsorted(ways["way"], chosen, side="right")
+    return [ways["place"][a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)]

@@ -11,14 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from engine.planners.constraint_tree import Settings, solve_tree
-from engine.planners.oneshot import Limits, Problem, Solution
+from engine.planners.oneshot import Limits, Problem, Solution, at_once
+from engine.planners.time_window import TimeWindow
+from engine.types import PlanStatus
 
 
 @dataclass(frozen=True, slots=True)
 class ECBS:
     """w: proven factor of suboptimality · weights: w1, w2, w3 of eq. 14 (mass, way left, conflicts) · disjoint,
-    cardinal, bypass, target: each changes the work, never the cost · tries: orders of prioritized planning for a first
-    plan.
+    cardinal, bypass, target, pairs (bounds from the optima of pairs): each changes the work, never the cost · tries:
+    orders of prioritized planning for a first plan.
     """
 
     w: float = 1.0
@@ -28,14 +30,33 @@ class ECBS:
     cardinal: bool = True
     bypass: bool = True
     target: bool = True
-    tries: int = 8
+    pairs: bool = True
+    tries: int = 12
+
+    promise = at_once(
+        "the least energy of all vehicles together, all at once", optimal="for the fleet, in energy", complete=True,
+        objectives=("energy",), turnings=("arc", "pivot"),
+    )  # fmt: skip
 
     def solve(self, problem: Problem, limits: Limits, *, trace: bool = False) -> Solution:
         """Least energy; waiting before the last arrival counts, resting at the goal does not."""
         settings = Settings(
             disjoint=self.disjoint and not self.priority_branch, cardinal=self.cardinal, bypass=self.bypass,
-            target=self.target, branch=self.priority_branch, tries=0 if self.priority_branch else self.tries,
+            target=self.target, pairs=self.pairs and not self.priority_branch, branch=self.priority_branch,
+            tries=0 if self.priority_branch else self.tries,
             w=self.w, weights=self.weights,
         )  # fmt: skip
         found, _, ways = solve_tree(problem, limits, settings, energy=True, trace=trace)
-        return replace(found, states=tuple(ways)) if ways else found
+        found = replace(found, states=tuple(ways)) if ways else found
+        if found.status is not PlanStatus.BUDGET_SPENT or self.priority_branch or not serves_windows(problem):
+            return found
+        # a search that didn't finish is never worse than time windows
+        windows = TimeWindow().solve(problem, Limits())
+        if not windows.states or (found.states and found.cost <= windows.cost):
+            return found
+        return replace(found, states=windows.states, cost=windows.cost, note="the plan is that of time windows")
+
+
+def serves_windows(problem: Problem) -> bool:
+    """Whether time windows can be laid over the floor: turns are driven, not made on the spot."""
+    return not any(primitive.pivot for primitive in problem.graph.primitives)

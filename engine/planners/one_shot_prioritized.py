@@ -16,7 +16,7 @@ from engine.errors import ScenarioError, unknown_name
 from engine.planners.kernels import spacetime
 from engine.planners.kernels.single import steps_to
 from engine.planners.kernels.tables import FAR
-from engine.planners.oneshot import Limits, Problem, Solution
+from engine.planners.oneshot import Limits, Problem, Solution, at_once
 from engine.planners.single import Floor
 from engine.types import PlanStatus
 
@@ -40,6 +40,11 @@ class OneShotPrioritized:
     passes: int = 1
     mend: int = 100
     seed: int = 0
+
+    promise = at_once(
+        "one vehicle after the other, each optimal against those before, all at once", optimal="per vehicle",
+        objectives=("time", "energy"), turnings=("arc",),
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         for what, name, known in (

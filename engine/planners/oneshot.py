@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.energy import CostTable
-from engine.types import PlanStatus
+from engine.planners.base import Promise
+from engine.types import Occupancy, PlanStatus
 from engine.world.motion_graph import MotionGraph
 
 I32 = NDArray[np.int32]
@@ -64,8 +65,21 @@ class Solution:
     trace: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
 
 
+def at_once(
+    summary: str, *, optimal: str = "", complete: bool = False, objectives: tuple[str, ...], turnings: tuple[str, ...]
+) -> Promise:
+    """The promise of a one-shot solver: unit motions, four neighbours, the classical occupancy."""
+    return Promise(
+        summary=summary, complete=complete, optimal=optimal, occupancies=frozenset({Occupancy.MAPF}),
+        objectives=objectives, mode=frozenset({"one-shot"}), connectivity=frozenset({4}),
+        turnings=frozenset(turnings), unit=True,
+    )  # fmt: skip
+
+
 class Solver(Protocol):
     """Solves whole problems."""
+
+    promise: Promise
 
     def solve(self, problem: Problem, limits: Limits, *, trace: bool = False) -> Solution:
         """The best plan it can find within the limits."""

@@ -20,7 +20,7 @@ from engine.world.motion_graph import MotionGraph
 
 @dataclass(frozen=True)
 class Prioritized:
-    """objective: `time` (ties by energy, nearly always the least) or `energy` (ties as they come)."""
+    """objective: `time` (ties by energy, nearly always the least) or `energy` (ties by arrival)."""
 
     objective: str = "time"
 

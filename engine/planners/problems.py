@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from engine.energy import CostTable
 from engine.errors import ScenarioError
 from engine.planners.eea import Eea
-from engine.planners.oneshot import Problem
+from engine.planners.oneshot import I32, Problem
 from engine.planners.single import Floor
 from engine.scenario.floor_costs import xu2025_costs
 from engine.scenario.movingai import Instance
@@ -50,14 +51,19 @@ def problem_of(
     places = np.cumsum(instance.free.ravel()).reshape(instance.free.shape) - 1
     starts = [int(places[y, x]) for x, y in instance.starts]
     goals = [int(places[y, x]) for x, y in instance.goals]
-    per_place = graph.n_states // max(graph.n_places, 1)
-    chosen = np.zeros(n, np.int32)
-    floor = Floor(graph, costs)
-    for i, (start, goal) in enumerate(zip(starts, goals, strict=True)):
-        if heading == "cheapest":
-            way = Eea().search(floor, start, goal, cls=int(cls[i]))
-            solved = way.status is PlanStatus.SOLVED
-            chosen[i] = way.states[0] if solved else start * per_place
-        else:
-            chosen[i] = start * per_place + 2 * HEADINGS.index(heading)
+    if heading == "cheapest":
+        chosen = cheapest_starts(graph, costs, starts, goals, cls)
+    else:
+        per_place = graph.n_states // max(graph.n_places, 1)
+        chosen = np.array(starts, np.int32) * np.int32(per_place) + np.int32(2 * HEADINGS.index(heading))
     return Problem(graph, chosen, np.array(goals, np.int32), costs, cls, np.zeros(graph.n_places, np.uint8))
+
+
+def cheapest_starts(graph: MotionGraph, costs: CostTable, starts: Sequence[int], goals: Sequence[int], cls: I32) -> I32:
+    """The standing state of each start place that begins the cheapest way to its goal; facing east without a way."""
+    floor = Floor(graph, costs)
+    chosen = np.zeros(len(starts), np.int32)
+    for i, (start, goal) in enumerate(zip(starts, goals, strict=True)):
+        way = Eea().search(floor, start, goal, cls=int(cls[i]))
+        chosen[i] = way.states[0] if way.status is PlanStatus.SOLVED else start * floor.per_place
+    return chosen

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from engine.energy import CostTable
 from engine.planners.base import Budget, Plan, View, no_plan
 from engine.planners.kernels import sipp
-from engine.planners.kernels.tables import TICK, Tables, packed
+from engine.planners.kernels.tables import TICK, Tables, packed, packed_energy
 from engine.traffic import FAR, STAY, Claims, ground_of
 from engine.types import FOREVER, Occupancy, PlanStatus
 from engine.world.motion_graph import MotionGraph
@@ -30,7 +30,7 @@ class FloorSearch:
         # a pivot ends at rest and the next motion starts: where there are pivots, stopped and rolling are two things
         pivots = any(p.pivot for p in graph.primitives)
         self.time = Tables(graph, packed(graph.kind_ticks, least), poses=not pivots)
-        self.energy = Tables(graph, least, poses=False)
+        self.energy = Tables(graph, packed_energy(graph.kind_ticks, least), poses=False)
         self._by_edge: dict[str, tuple[int, Tables]] = {}
         self._work = sipp.new_work(1 << 14, 1)
         self._out = np.zeros(2, np.int64)

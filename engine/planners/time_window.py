@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from engine.planners.eea import Eea
 from engine.planners.kernels import spacetime
 from engine.planners.one_shot_prioritized import Desk
-from engine.planners.oneshot import Limits, Problem, Solution
+from engine.planners.oneshot import Limits, Problem, Solution, at_once
 from engine.types import PlanStatus
 
 I32 = NDArray[np.int32]
@@ -28,6 +28,10 @@ class TimeWindow:
     """mend: how often timing may begin again with the vehicle that found no way in front."""
 
     mend: int = 100
+
+    promise = at_once(
+        "everybody's cheapest route, later vehicles wait for earlier ones", objectives=("energy",), turnings=("arc",)
+    )
 
     def solve(self, problem: Problem, limits: Limits, *, trace: bool = False) -> Solution:
         """A plan by energy; the lower bound is what every vehicle would need alone. Trace: table `vehicles` with how

@@ -17,7 +17,7 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from engine.build import BATTERIES, find
+from engine.energy import battery_of
 from engine.errors import RunError
 from engine.replay import looks
 from engine.replay.floor_map import View2D, log_floor
@@ -79,7 +79,7 @@ class RerunRecorder:
         self._states = StepSampler(n, VehicleState.IDLE)
         self._held = HeldPlaces()
         self._share = max(1, round(SHARE_S / self._tick_s))
-        self._capacity_mc = _capacity_mc(scenario)
+        self._capacity_mc = battery_of(**scenario.battery.asked).capacity_mc
         self._energy_seen: set[str] = set()
         self._shares = Shares(self._share)
         self._orders = OrderCounts(max(1, round(RATE_S / self._tick_s)), self._tick_s)
@@ -369,9 +369,12 @@ class RerunRecorder:
         for name, column in zip(COMPONENTS, ENERGY_COLUMNS, strict=True):
             total_mj = np.zeros(len(ticks), np.int64)
             np.add.at(total_mj, at[keep], _joined(parts, column)[keep])
+            # a curve begins with its first joule, however the rows were batched
+            since = 0 if name in self._energy_seen else int(np.argmax(total_mj != 0))
             if name in self._energy_seen or total_mj.any():
                 self._energy_seen.add(name)
-                self._send(f"{looks.ENERGY}/{name}", ticks, rr.Scalars.columns(scalars=total_mj / 1e6))
+                line = rr.Scalars.columns(scalars=total_mj[since:] / 1e6)
+                self._send(f"{looks.ENERGY}/{name}", ticks[since:], line)
 
     def _send_lanes(self, parts: list[dict[str, Any]]) -> None:
         tick, vehicle, state = (_joined(parts, name) for name in ("tick", "vehicle", "state"))
@@ -493,9 +496,3 @@ def _by_vehicle(vehicle: I64) -> list[tuple[int, I64]]:
 def _nanoseconds(ticks: I64, tick_s: float) -> NDArray[np.timedelta64]:
     nanoseconds: NDArray[np.timedelta64] = np.rint(ticks * (tick_s * 1e9)).astype("timedelta64[ns]")
     return nanoseconds
-
-
-def _capacity_mc(scenario: Scenario) -> int:
-    """Full charge in millicoulombs of the scenario's battery."""
-    asked = scenario.battery
-    return int(find(BATTERIES, "battery model", asked.model)(asked.capacity_wh, asked.voltage_v).capacity_mc)

@@ -18,7 +18,9 @@ from engine.types import COMPONENTS, FOREVER, NONE, PRIMITIVE_0, Activity, Compo
 
 SLICES = 48
 """Number of equal slices in which occupancy over time is given."""
-_NOT_FOUND = tuple(str(s) for s in (PlanStatus.NO_PATH, PlanStatus.BUDGET_SPENT, PlanStatus.INCONSISTENT))
+_NOT_FOUND = tuple(
+    str(s) for s in (PlanStatus.NO_PATH, PlanStatus.BUDGET_SPENT, PlanStatus.INCONSISTENT, PlanStatus.CHARGE)
+)
 _NOT_DRAWN = (Component.CHARGED, Component.CHARGER_LOSS)
 
 

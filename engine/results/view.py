@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.energy import CostTable
-from engine.energy.battery import coulomb, linear
+from engine.energy import CostTable, battery_of
 from engine.results.beside import energy_beside
 from engine.results.runlog import Columns, Log, latest_keyframe
 from engine.results.schema import ENERGY_COLUMNS
@@ -104,8 +103,7 @@ class RunView:
     def __init__(self, reader: Log, scenario: Scenario, world: World, beside: CostTable | None = None) -> None:
         self.reader, self.scenario, self.world, self.beside = reader, scenario, world, beside
         self.tick_s = float(scenario.time.tick_s)
-        model = linear if scenario.battery.model == "linear" else coulomb
-        self.capacity_mc = model(scenario.battery.capacity_wh, scenario.battery.voltage_v).capacity_mc
+        self.capacity_mc = battery_of(**scenario.battery.asked).capacity_mc
         self.n = int(scenario.fleet.count)
         self.t_end = 0
         self._start = np.asarray(start_places(scenario, world), np.int64)
@@ -218,6 +216,7 @@ class RunView:
             heading_deg=heading.astype(np.float32),
             soc=soc.astype(np.float32),
             state=state,
+            task=self._task_at(time, now),
             loaded=(c["loaded"] > 0).astype(np.uint8),
             low=(soc < self.thresholds(time).good).astype(np.uint8),
             order=self._order_at(time, now).astype(np.int32),
@@ -233,6 +232,15 @@ class RunView:
         if self._states.n:
             state = np.where(row >= 0, self._s["state"][row], state).astype(np.uint8)
         return state
+
+    def _task_at(self, time: float, now: _Now) -> NDArray[np.uint8]:
+        """The Task of every vehicle's plan, as a live frame shows it."""
+        if time <= 0:
+            return np.zeros(self.n, np.uint8)
+        task, row = now.col["task"], self._state_rows(time)
+        if self._states.n:
+            task = np.where(row >= 0, self._s["task"][row], task)
+        return np.maximum(task, 0).astype(np.uint8)
 
     def _order_at(self, time: float, now: _Now) -> NDArray[np.int64]:
         """The order that every vehicle serves: an interval is labelled when it ends, a state when it begins."""
@@ -392,6 +400,20 @@ class RunView:
         drawn = sum(self._b[ENERGY_COLUMNS[c]][row].astype(np.float64) for c in _DRAWN)
         return np.where(row >= 0, drawn, 0.0) / 1000.0, self._b["voltage_mv"][row] / 1000.0
 
+    def power(self, time: float, window_s: float = 60.0) -> F64:
+        """Mean power of every vehicle at its battery over the latest window, in W; negative while it charges.
+
+        Samples are `log.sample_s` apart, and the window reaches from one to another; NaN where there are not two.
+        """
+        time = self._clamp(time)
+        if not self._battery.n:
+            return np.full(self.n, np.nan)
+        last, first = self._row_at(self._battery, time), self._row_at(self._battery, time - window_s / self.tick_s)
+        first = np.where(first >= 0, first, self._battery.row[self._battery.first(np.arange(self.n))])
+        seconds = (self._b["tick"][last].astype(np.int64) - self._b["tick"][first]) * self.tick_s
+        joules = sum((self._b[name][last] - self._b[name][first]) / 1000.0 for name in ENERGY_COLUMNS)
+        return np.where((last >= 0) & (seconds > 0), joules / np.maximum(seconds, self.tick_s), np.nan)
+
     def _orders_done(self, time: float) -> NDArray[np.int64]:
         o = self.reader.table("orders")
         k = int(np.searchsorted(o["tick"], time, side="right"))
@@ -535,15 +557,42 @@ class RunView:
     # -- routes and reservations
 
     def routes(self, time: float) -> list[dict[str, Any]]:
-        """What is left of every vehicle's plan: places from the present one, with the planned ticks t_in and t_out."""
+        """What is left of every vehicle's plan: places from the present one, with the planned ticks t_in and t_out.
+
+        held: so many of these places the vehicle has or may enter without waiting for anybody: no other vehicle is
+        there, and none has reserved them for earlier.
+        """
         time = self._clamp(time)
         now = self._now(time)
-        found = []
+        found, claims = [], []
         for v in range(self.n):
             places, t_in, t_out = self._remaining(v, time, now)
             if len(places) > 1:
                 found.append({"vehicle": v, "places": places.tolist(), "t_in": t_in.tolist(), "t_out": t_out.tolist()})
+                claims.append((v, places, np.concatenate([[-1], t_in[1:]])))
+        for record, first in zip(found, self._first_in_line(claims, now), strict=True):
+            record["held"] = len(first) if first.all() else int(np.argmin(first))
         return found
+
+    def _first_in_line(self, claims: list[tuple[int, Any, Any]], now: _Now) -> list[NDArray[np.bool_]]:
+        """For every (vehicle, places, ticks): whether nobody else has, or has reserved for earlier, each place."""
+        if not claims:
+            return []
+        planned = np.array([v for v, _, _ in claims])
+        others = np.setdiff1d(np.arange(self.n), planned)  # without a way left: each has the place it is in
+        lengths = [len(places) for _, places, _ in claims]
+        here = np.where(now.share < 1.0, now.col["from_place"], now.col["to_place"])
+        place = np.concatenate([*(places for _, places, _ in claims), here[others], now.col["to_place"][others]])
+        owner = np.concatenate([np.repeat(planned, lengths), others, others])
+        tick = np.concatenate([*(ticks for _, _, ticks in claims), np.full(2 * len(others), -1)])
+        line = np.lexsort((tick, place))
+        begins = np.diff(place[line], prepend=-1) != 0
+        queue = np.cumsum(begins) - 1
+        stranger = owner[line] != owner[line][begins][queue]
+        seen = np.cumsum(stranger)
+        first = np.empty(len(line), np.bool_)
+        first[line] = seen == (seen - stranger)[begins][queue]
+        return np.split(first[: sum(lengths)], np.cumsum(lengths)[:-1])
 
     def _remaining(self, v: int, time: float, now: _Now) -> tuple[Any, Any, Any]:
         """Places of a vehicle's plan from its present place on, and their planned ticks."""

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from engine.energy.demand import DemandModel, parameters_over
 from engine.errors import ScenarioError
+from engine.scenario.instances import goal_places
 from engine.scenario.model import Scenario
+from engine.scenario.start import start_places
 from engine.types import NONE, StationKind
 from engine.units import J_PER_WH
 from engine.world.floor import GridWorld, Station, World
@@ -54,6 +56,8 @@ def check(scenario: Scenario, world: World, demand: DemandModel | None = None) -
 
     demand: the model that turns motion into energy; without it, the scenario's own when it is `xu2025` or `constant`.
     """
+    if scenario.orders.source == "goals":
+        return [*_goals(scenario, world), *_speed(scenario), *_battery_to_goals(scenario, world, demand)]
     graph = place_graph(world)
     main = _main_component(graph, world)
     findings = [*_reachable(world, graph, main), *_well_formed(world)]
@@ -200,6 +204,9 @@ def _rest_places(scenario: Scenario, world: World) -> Iterator[Finding]:
     have = f"{chargers} chargers and {parking} parking bays"
     if chargers + parking < fleet:
         yield Finding("error", "rest places", f"{have} for {fleet} vehicles; each vehicle needs a place to rest")
+    elif 0 < chargers < fleet == chargers + parking:
+        text = f"{have} for {fleet} vehicles: with no bay to spare, nobody can make room at a charger"
+        yield Finding("warning", "rest places", text)
     else:
         yield Finding("ok", "rest places", f"{have} for {fleet} vehicles")
     if not chargers:
@@ -226,6 +233,63 @@ def _speed(scenario: Scenario) -> Iterator[Finding]:
             f"but motion.speed_mps is {said:g}"
         )
         yield Finding("warning", "speed", text)
+
+
+# ---------------------------------------------------------------- instances
+
+
+def _goals(scenario: Scenario, world: World) -> Iterator[Finding]:
+    """Every vehicle must be able to reach its goal, were it alone."""
+    from scipy.sparse import csgraph
+
+    ticks = _tick_matrix(world)
+    starts, goals = start_places(scenario, world), goal_places(scenario, world)
+    _, part = csgraph.connected_components(ticks, connection="strong")
+    problems = []
+    for vehicle, (a, b) in enumerate(zip(starts, goals, strict=True)):
+        if part[a] != part[b] and not np.isfinite(_distances(ticks, [a])[0, b]):
+            text = (
+                f"vehicle {vehicle} starts at {world.place_name(a)}, from where no way leads to {world.place_name(b)}"
+            )
+            problems.append(Finding("error", "goals", text, b))
+    yield from problems[:NAMED]
+    if len(problems) > NAMED:
+        yield Finding("error", "goals", f"and {len(problems) - NAMED} more vehicles without a way to their goals")
+    if not problems:
+        yield Finding("ok", "goals", f"each of {len(goals)} vehicles has a way to its goal")
+
+
+def _battery_to_goals(scenario: Scenario, world: World, demand: DemandModel | None) -> Iterator[Finding]:
+    """The vehicles farthest from their goals, alone on the floor, against a full battery minus the reserve."""
+    model = demand or _own_demand(scenario)
+    if model is None:
+        text = f"not checked: energy of demand model {scenario.energy.demand!r} was not given"
+        yield Finding("warning", "battery", text)
+        return
+    starts, goals = start_places(scenario, world), goal_places(scenario, world)
+    assert isinstance(world, GridWorld)  # goals are cells
+    cells = world.cell_of_place
+    away = np.abs(cells[list(goals)] - cells[list(starts)]).sum(1)
+    ticks = _tick_matrix(world)
+    worst = (-1.0, 0)
+    for vehicle in np.argsort(-away, kind="stable")[:NAMED].tolist():
+        if np.isfinite(_distances(ticks, [starts[vehicle]])[0, goals[vehicle]]):
+            leg = _leg(world, starts[vehicle], goals[vehicle], False)
+            worst = max(worst, (leg_energy_j(scenario, world, model, leg, vehicle), -vehicle))
+    if worst[0] < 0:
+        yield Finding("warning", "battery", "not checked: goals can't be reached")
+        return
+    vehicle, needed = -worst[1], worst[0] / (scenario.battery.capacity_wh * J_PER_WH)
+    soc = scenario.battery.initial_soc
+    usable = soc if isinstance(soc, float) else soc[0]
+    text = (
+        f"the way of vehicle {vehicle} from {world.place_name(starts[vehicle])} to {world.place_name(goals[vehicle])} "
+        f"takes {needed:.1%} of a battery; {usable:.1%} is there at the start"
+    )
+    level: Literal["error", "warning", "ok"] = "error" if needed > usable else "ok"
+    if usable >= needed > 0.9 * usable:
+        level, text = "warning", f"{text}: waiting on the way may use up the rest"
+    yield Finding(level, "battery", text, starts[vehicle])
 
 
 # ---------------------------------------------------------------- battery
@@ -303,10 +367,11 @@ def order_pairs(scenario: Scenario, world: World) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def leg_energy_j(scenario: Scenario, world: World, demand: DemandModel, leg: Leg) -> float:
-    """Energy of a leg in joules, standby included."""
+def leg_energy_j(scenario: Scenario, world: World, demand: DemandModel, leg: Leg, vehicle: int | None = None) -> float:
+    """Energy of a leg in joules, standby included; of the heaviest vehicle unless one is named."""
     graph, tick_s = world.graph, scenario.time.tick_s
-    mass_kg = scenario.fleet.mass_kg + (scenario.fleet.payload_kg if leg.loaded else 0.0)
+    masses = scenario.fleet.each_mass_kg
+    mass_kg = (max(masses) if vehicle is None else masses[vehicle]) + (scenario.fleet.payload_kg if leg.loaded else 0.0)
     counts = np.bincount(graph.edge_kind[list(leg.edges)], minlength=len(graph.primitives)) if leg.edges else ()
     total = 0.0
     for primitive, count in zip(graph.primitives, counts, strict=False):
@@ -317,7 +382,7 @@ def leg_energy_j(scenario: Scenario, world: World, demand: DemandModel, leg: Leg
 
 
 def _own_demand(scenario: Scenario) -> DemandModel | None:
-    from engine.energy import constant, parameter_sets, xu2025
+    from engine.energy import constant, lian2024, parameter_sets, xu2025
 
     given = scenario.energy.parameters
     if scenario.energy.demand == "constant":
@@ -326,6 +391,9 @@ def _own_demand(scenario: Scenario) -> DemandModel | None:
     if scenario.energy.demand == "xu2025":
         defaults = parameter_sets.xu2025(scenario.motion.speed_mps)
         return xu2025.Xu2025(**parameters_over(defaults, given, "xu2025"))
+    if scenario.energy.demand == "lian2024":
+        defaults = parameter_sets.lian2024(scenario.motion.speed_mps)
+        return lian2024.lian2024(**parameters_over(defaults, given, "lian2024"))
     return None
 
 
@@ -376,8 +444,8 @@ def _leg(world: World, start: int, end: int, loaded: bool) -> Leg:
 
 
 def _state_at_rest(world: World, endpoint: int) -> int:
-    """State of a vehicle standing at an endpoint, heading away from its access cell; on a network the first."""
-    if not isinstance(world, GridWorld):
+    """State of a vehicle standing at an endpoint, heading away from its access cell; the first elsewhere."""
+    if not isinstance(world, GridWorld) or world.access[endpoint] == NONE:
         return int(world.graph.place_ptr[endpoint])
     (x, y), (ax, ay) = world.cell_of_place[endpoint], world.cell_of_place[world.access[endpoint]]
     inwards = round(np.degrees(np.arctan2(int(y) - int(ay), int(x) - int(ax)))) % 360

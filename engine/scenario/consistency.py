@@ -45,7 +45,7 @@ def problems_of(scenario: Scenario) -> list[Problem]:
         return [*problems, *_network(scenario)]
     cells = cells_from_rows(scenario.floor.drawing())
     counts = {kind: int((cells == ord(letter)).sum()) for letter, kind in STATIONS.items()}
-    return [*problems, *_access(scenario, cells), *_orders(scenario, counts), *_fleet(scenario, cells)]
+    return [*problems, *_access(scenario, cells), *_orders(scenario, counts, cells), *_fleet(scenario, cells)]
 
 
 def _network(scenario: Scenario) -> Iterator[Problem]:
@@ -60,6 +60,9 @@ def _network(scenario: Scenario) -> Iterator[Problem]:
     assert isinstance(world, NetworkWorld)
     counts = {kind: len(world.stations_of(kind)) for kind in StationKind}
     yield from _orders(scenario, counts)
+    if scenario.fleet.heading != "best":
+        text = f"got {scenario.fleet.heading!r}; on a network vehicles look along their kerbs ('best')"
+        yield Problem(("fleet", "heading"), text)
     if not isinstance(scenario.fleet.start, str):
         yield Problem(("fleet", "start"), "a network has no cells; vehicles start on its kerbs ('parking')")
     elif scenario.fleet.count > len(world.parking):
@@ -72,7 +75,7 @@ def _floor(scenario: Scenario) -> Iterator[Problem]:
     if floor.network is not None and floor.kind != "network":
         yield Problem(("floor", "network"), "only a floor of kind 'network' has this table")
     if floor.kind == "network":
-        for key in ("rows", "blocks"):
+        for key in ("rows", "blocks", "map"):
             if getattr(floor, key) is not None:
                 yield Problem(("floor", key), f"a floor of kind 'network' has no {key}")
         if floor.network is None or (floor.network.mesh is None) == (not floor.network.nodes):
@@ -92,6 +95,12 @@ def _floor(scenario: Scenario) -> Iterator[Problem]:
         return
     if floor.blocks is not None:
         yield Problem(("floor", "blocks"), "only a floor of kind 'blocks' has this table")
+    if floor.map is not None:
+        text = "a map beside the scenario is read when the scenario is a file; here `rows` must hold the map's rows"
+        if floor.kind != "movingai":
+            text = f"only a floor of kind 'movingai' has a map; this one is of kind {floor.kind!r}"
+        yield Problem(("floor", "map"), text)
+        return
     rows = floor.drawing()
     if not rows:
         yield Problem(("floor", "rows" if floor.rows is not None else "kind"), "a drawn floor needs rows of letters")
@@ -99,13 +108,15 @@ def _floor(scenario: Scenario) -> Iterator[Problem]:
     if sum(map(len, rows)) > MAX_CELLS:
         yield Problem(("floor", "rows"), f"a floor has at most {MAX_CELLS:,} cells")
         return
+    # MovingAI's letters are already translated here: what is left untranslated is unknown
+    letters, known = (".#", ".GSE@OTW") if floor.kind == "movingai" else ("".join(LETTERS), "".join(LETTERS))
     for number, row in enumerate(rows):
         if len(row) != len(rows[0]):
             text = f"row {number + 1} has {len(row)} cells, expected {len(rows[0])} as in row 1"
             yield Problem(("floor", "rows"), text, number)
         for column, letter in enumerate(row):
-            if letter not in LETTERS:
-                text = f"row {number + 1}, column {column + 1}: {unknown_name('letter', letter, LETTERS)}"
+            if letter not in letters:
+                text = f"row {number + 1}, column {column + 1}: {unknown_name('letter', letter, known)}"
                 yield Problem(("floor", "rows"), text, number)
                 break
     if not any(letter in AISLES + ENDPOINTS for row in rows for letter in row):
@@ -143,17 +154,30 @@ def _times(scenario: Scenario) -> Iterator[Problem]:
     for key in ("sample_s", "keyframe_s"):
         if (value := getattr(scenario.log, key)) < time.tick_s:
             yield Problem(("log", key), f"got {value:g}, expected at least one tick of {time.tick_s:g} s")
-    if time.finish != "never" and orders.source != "listed" and orders.limit is None:
+    if time.finish != "never" and orders.source in ("poisson", "backlog") and orders.limit is None:
         text = f"got {time.finish!r}, but {orders.source} orders without orders.limit are never all done"
         yield Problem(("time", "finish"), text)
+    if (time.finish == "goals reached") != (orders.source == "goals") and time.finish != "never":
+        wanted = "'goals reached' or 'never'" if orders.source == "goals" else "an end that orders can bring"
+        yield Problem(
+            ("time", "finish"), f"got {time.finish!r}, but orders.source is {orders.source!r}: expected {wanted}"
+        )
     low, high = scenario.faults.delay_ticks
     if low > high:
         yield Problem(("faults", "delay_ticks"), f"got [{low}, {high}], expected [shortest, longest]")
 
 
-def _orders(scenario: Scenario, counts: Mapping[StationKind, int]) -> Iterator[Problem]:
-    """counts: stations of each kind."""
+def _orders(
+    scenario: Scenario, counts: Mapping[StationKind, int], cells: NDArray[np.uint8] | None = None
+) -> Iterator[Problem]:
+    """counts: stations of each kind · cells: of a floor that has some."""
     orders = scenario.orders
+    if orders.source == "goals":
+        if cells is None:
+            yield Problem(("orders", "source"), "got 'goals', which are cells, and a network has none")
+        else:
+            yield from _cells(scenario, cells, orders.goals, ("orders", "goals"))
+        return
     total = sum(n for kind, n in counts.items() if kind is not StationKind.STATION)
     if orders.source == "listed":
         if not orders.pairs:
@@ -172,17 +196,23 @@ def _orders(scenario: Scenario, counts: Mapping[StationKind, int]) -> Iterator[P
 
 def _fleet(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:
     start = scenario.fleet.start
-    if isinstance(start, str):
-        return
+    if not isinstance(start, str):
+        yield from _cells(scenario, cells, start, ("fleet", "start"))
+
+
+def _cells(
+    scenario: Scenario, cells: NDArray[np.uint8], given: tuple[tuple[int, int], ...], path: Path
+) -> Iterator[Problem]:
+    """One cell per vehicle, each on the floor, passable and given once."""
     height, width = cells.shape
-    if len(start) != scenario.fleet.count:
-        text = f"got {len(start)} cells for {scenario.fleet.count} vehicles; expected one each"
-        yield Problem(("fleet", "start"), text)
-    for i, (x, y) in enumerate(start):
+    if len(given) != scenario.fleet.count:
+        yield Problem(path, f"got {len(given)} cells for {scenario.fleet.count} vehicles; expected one each")
+    seen: set[tuple[int, int]] = set()
+    for i, (x, y) in enumerate(given):
         if x >= width or y >= height:
-            text = f"({x}, {y}) lies outside the floor of {width} × {height} cells"
-            yield Problem(("fleet", "start", i), text)
+            yield Problem((*path, i), f"({x}, {y}) lies outside the floor of {width} × {height} cells")
         elif (letter := chr(cells[y, x])) not in AISLES + ENDPOINTS:
-            yield Problem(("fleet", "start", i), f"({x}, {y}) is a {LETTERS[letter]}; a vehicle can't be there")
-        elif start.index((x, y)) != i:
-            yield Problem(("fleet", "start", i), f"({x}, {y}) is taken twice")
+            yield Problem((*path, i), f"({x}, {y}) is a {LETTERS[letter]}; a vehicle can't be there")
+        elif (x, y) in seen:
+            yield Problem((*path, i), f"({x}, {y}) is taken twice")
+        seen.add((x, y))

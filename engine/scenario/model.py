@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
@@ -21,6 +21,8 @@ StationNumber = Annotated[int, Field(ge=1)]
 KindName = Literal["inbound", "outbound", "rack", "entrance", "station"]
 CellXY = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
 SoC = Annotated[float, Field(gt=0, le=1)]
+TERRAIN = str.maketrans({**dict.fromkeys(".GSE", "."), **dict.fromkeys("@OTW", "#")})
+"""MovingAI's letters as those of a drawing: passable terrain is aisle, everything else wall."""
 
 
 class Section(BaseModel):
@@ -34,7 +36,7 @@ class TimeSection(Section):
     until_s: Positive | None = Field(
         default=None, description="Simulated seconds after which the run ends; none is endless"
     )
-    finish: Literal["never", "orders done", "orders done and home"] = Field(
+    finish: Literal["never", "orders done", "orders done and home", "goals reached"] = Field(
         default="never", description="What ends the run before until_s"
     )
 
@@ -109,10 +111,12 @@ class NetworkSection(Section):
 
 
 class FloorSection(Section):
-    kind: Literal["drawing", "blocks", "network"] = Field(
-        default="drawing", description="Drawn in `rows`, generated from `blocks`, or a path network"
+    kind: Literal["drawing", "blocks", "movingai", "network"] = Field(
+        default="drawing",
+        description="Drawn in `rows`, generated from `blocks`, `rows` with MovingAI's letters, or a path network",
     )
     rows: str | None = Field(default=None, description="The drawing, top row first, one letter per cell")
+    map: str | None = Field(default=None, description="A MovingAI .map file beside the scenario, read into `rows`")
     blocks: BlocksSection | None = Field(default=None, description="Parameters of the generator `blocks`")
     network: NetworkSection | None = Field(default=None, description="Nodes and arcs of a network")
     cell_m: Positive = Field(default=1.0, le=100, description="Side of a cell in metres")
@@ -127,7 +131,8 @@ class FloorSection(Section):
         """Rows of letters, top row first; drawn or generated. Raises BadInput when the generator can't."""
         if self.kind == "blocks":
             return rows_of_blocks(**(self.blocks or BlocksSection()).model_dump())
-        return tuple(line.strip() for line in (self.rows or "").splitlines() if line.strip())
+        rows = tuple(line.strip() for line in (self.rows or "").splitlines() if line.strip())
+        return tuple(row.translate(TERRAIN) for row in rows) if self.kind == "movingai" else rows
 
 
 class MotionSection(Section):
@@ -149,11 +154,24 @@ class ServiceSection(Section):
 class FleetSection(Section):
     count: int = Field(ge=1, le=10_000, description="Vehicles")
     mass_kg: Positive = Field(default=1000.0, description="Mass of an empty vehicle")
+    masses_kg: tuple[Positive, ...] = Field(
+        default=(), max_length=127, description="Masses of the vehicles in turn, in place of mass_kg"
+    )
     payload_kg: NotNegative = Field(default=0.0, description="Mass of a load")
     start: Literal["chargers", "parking"] | tuple[CellXY, ...] = Field(
         default="chargers",
         description="Where vehicles start: spread over the chargers or the parking, or cells [[x, y], …]",
     )
+    heading: Literal["best", "east", "north", "west", "south"] = Field(
+        default="best",
+        description="Where they look at the start; `best` is along the cheapest way to the goal, else out of the bay",
+    )
+
+    @property
+    def each_mass_kg(self) -> tuple[float, ...]:
+        """Mass of every empty vehicle."""
+        given = self.masses_kg or (self.mass_kg,)
+        return tuple(given[v % len(given)] for v in range(self.count))
 
 
 class EnergySection(Section):
@@ -173,6 +191,12 @@ class BatterySection(Section):
     initial_soc: SoC | tuple[SoC, SoC] = Field(
         default=1.0, description="State of charge at the start; [low, high] is drawn per vehicle from the seed"
     )
+    parameters: dict[str, float] = Field(default_factory=dict, description="Parameters of the battery model")
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """What engine.energy.battery_of takes."""
+        return {name: getattr(self, name) for name in ("model", "capacity_wh", "voltage_v", "parameters")}
 
 
 class ChargerSection(Section):
@@ -201,8 +225,12 @@ class MixItem(Section):
 
 
 class OrdersSection(Section):
-    source: Literal["listed", "poisson", "backlog"] = Field(
-        default="poisson", description="Listed pairs, seeded Poisson arrivals, or a backlog that is always refilled"
+    source: Literal["listed", "poisson", "backlog", "goals"] = Field(
+        default="poisson",
+        description="Listed pairs, Poisson arrivals, an ever refilled backlog, or no orders: every vehicle has a goal",
+    )
+    goals: tuple[CellXY, ...] = Field(
+        default=(), description="Cells [[x, y], …] where the vehicles go, one each, and stay"
     )
     pairs: tuple[tuple[StationNumber, StationNumber], ...] = Field(
         default=(), description="Orders as [from, to] station numbers, all known at the start"
@@ -230,6 +258,9 @@ class PlannerSection(Section):
     objective: Literal["time", "energy"] = Field(default="time", description="What a plan minimises")
     parameters: dict[str, float | int | bool | str] = Field(
         default_factory=dict, description="Parameters of the planner"
+    )
+    work: int = Field(
+        default=10_000_000, ge=1, le=10**12, description="Expansions that planning all vehicles at once may take"
     )
 
 

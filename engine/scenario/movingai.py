@@ -247,8 +247,12 @@ def _whole(text: str, what: str, source: str, line: int) -> int:
 def map_text(free: Mask) -> str:
     """A `.map` file: `.` where free, `@` where not."""
     height, width = free.shape
-    rows = ["".join(".@"[not cell] for cell in row) for row in free[::-1]]
-    return "\n".join(["type octile", f"height {height}", f"width {width}", "map", *rows]) + "\n"
+    return "\n".join(["type octile", f"height {height}", f"width {width}", "map", *map_rows(free)]) + "\n"
+
+
+def map_rows(free: Mask) -> list[str]:
+    """The rows of such a file, top row first."""
+    return ["".join(".@"[not cell] for cell in row) for row in free[::-1]]
 
 
 def scen_text(instance: Instance, map_name: str = "") -> str:
@@ -288,6 +292,15 @@ def random_floor(
     raise FormatError(f"no floor of {width} × {height} cells at density {density} connects {list(connected)}")
 
 
+def largest_part(free: Mask) -> Mask:
+    """(H, W) the most free cells that reach each other by horizontal and vertical steps."""
+    labels, parts = ndimage.label(free)
+    sizes = np.bincount(labels.ravel(), minlength=parts + 1)
+    sizes[0] = 0
+    part: Mask = free & (labels == int(sizes.argmax()))
+    return part
+
+
 def are_connected(free: Mask, cells: Sequence[Cell]) -> bool:
     """True when all the cells are free and reach each other by horizontal and vertical steps."""
     labels, _ = ndimage.label(free)
@@ -316,12 +329,13 @@ def random_instance(
 
     Raises FormatError when the largest connected part of the floor is too small.
     """
-    free = random_floor(rng, width, height, density)
-    labels, parts = ndimage.label(free)
-    sizes = np.bincount(labels.ravel(), minlength=parts + 1)
-    sizes[0] = 0
-    ys, xs = np.nonzero(labels == int(sizes.argmax()))
-    if agents and (not parts or agents > len(xs)):
+    return random_trips(rng, random_floor(rng, width, height, density), agents, name)
+
+
+def random_trips(rng: np.random.Generator, free: Mask, agents: int, name: str = "random") -> Instance:
+    """The same on a given floor: starts and goals uniformly from its largest connected part."""
+    ys, xs = np.nonzero(largest_part(free))
+    if agents > len(xs):
         raise FormatError(f"{agents} vehicles don't fit into {len(xs)} connected cells")
     picks = [rng.permutation(len(xs))[:agents] for _ in range(2)]
     starts, goals = (tuple((int(xs[i]), int(ys[i])) for i in pick) for pick in picks)

@@ -11,7 +11,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import assets
-from engine.errors import ScenarioError, nearest_name, unknown_name
+from engine.errors import FormatError, ScenarioError, nearest_name, unknown_name
 from engine.scenario import toml_text
 from engine.scenario.consistency import Problem, problems_of
 from engine.scenario.model import Scenario, Section
@@ -59,12 +59,19 @@ def load(name_or_path: str | FilePath, overrides: Mapping[str, object] | None = 
         raise ScenarioError(f"{source}: UTF-8 text was expected; byte {error.start} is not") from error
     except OSError as error:
         raise ScenarioError(f"{source}: can't be read: {error.strerror or error}") from error
-    return parse(text, source, overrides)
+    return parse(text, source, overrides, file.parent)
 
 
-def parse(text: str, source: str = "<text>", overrides: Mapping[str, object] | None = None) -> Scenario:
+def parse(
+    text: str,
+    source: str = "<text>",
+    overrides: Mapping[str, object] | None = None,
+    folder: FilePath | None = None,
+) -> Scenario:
     """A scenario from TOML text. Raises ScenarioError whose message has one line per problem: source, line, field, what
     was got, what was expected.
+
+    folder: where `floor.map` is looked for; without one no other file is read.
     """
     if len(text) > MAX_BYTES:
         raise ScenarioError(f"{source}: a scenario has at most {MAX_BYTES:,} bytes, got {len(text):,}")
@@ -78,7 +85,28 @@ def parse(text: str, source: str = "<text>", overrides: Mapping[str, object] | N
     where = _Where(source, toml_text.lines_of(text), text)
     for key, value in (overrides or {}).items():
         _override(data, key, value, where)
+    if folder is not None:
+        _read_map(data, where, folder)
     return _validate(data, where)
+
+
+def _read_map(data: dict[str, Any], where: _Where, folder: FilePath) -> None:
+    """Put the rows of `floor.map` into `floor.rows`, so that the scenario is whole by itself."""
+    floor = data.get("floor")
+    if not isinstance(floor, dict) or not isinstance(name := floor.get("map"), str) or floor.get("kind") != "movingai":
+        return
+    if "rows" in floor:
+        raise _all([Problem(("floor", "map"), "a floor has either `map` or `rows`, not both")], where)
+    if FilePath(name).is_absolute() or ".." in FilePath(name).parts or not name.endswith(".map"):
+        text = f"got {name!r}, expected a .map file in the folder of the scenario"
+        raise _all([Problem(("floor", "map"), text)], where)
+    from engine.scenario.movingai import map_rows, read_map
+
+    try:
+        floor["rows"] = "\n".join(map_rows(read_map(folder / name)))
+    except FormatError as error:
+        raise _all([Problem(("floor", "map"), str(error))], where) from error
+    del floor["map"]
 
 
 def from_dict(data: Mapping[str, Any], source: str = "<data>") -> Scenario:

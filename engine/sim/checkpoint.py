@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 ARRAYS = "state.npz"
 PLAIN = "state.json"
 _OWN = ("home", "holder", "must_charge", "charge_later", "charger_out", "try_at", "blocked", "clock", "linger")
-_PLAIN = ("thresholds", "needs_plan", "queue", "commands", "done", "deadlocks", "block_version", "retry")
+_PLAIN = (
+    "thresholds", "needs_plan", "queue", "commands", "done", "deadlocks", "block_version", "retry", "plan_all",
+    "together_at", "together_pause",
+)  # fmt: skip
 
 
 @cache

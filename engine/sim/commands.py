@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from engine.sim.simulation import Simulation
 
 
+FRESH = 0.1
+"""State of charge of the battery that an empty vehicle gets when it is repaired."""
+
+
 @dataclass(frozen=True, slots=True)
 class Answer:
     """Accepted or not, and why; `tick` at which it takes effect, `number` of the command in this run."""
@@ -108,6 +112,8 @@ def _withdraw(sim: Simulation, order: int) -> str:
 
 def _charge(sim: Simulation, vehicle: int) -> str:
     v = _vehicle(sim, vehicle)
+    if len(sim.goals):
+        raise Refused(f"vehicle {v} drives to its goal and charges nowhere on the way")
     if sim.fleet.failed[v]:
         raise Refused(f"vehicle {v} is broken down")
     if sim.fleet.charge[v] >= sim.levels.full[v]:
@@ -167,8 +173,7 @@ def _repair(sim: Simulation, vehicle: int) -> str:
     if not sim.fleet.failed[v]:
         raise Refused(f"vehicle {v} is not broken down")
     if sim.fleet.charge[v] <= 0:
-        sim.fleet.charge[v] = sim.levels.capacity[v] // 10
-        sim.say("battery changed", f"vehicle {v} got a battery at 10 %", 1, v)
+        operating.change_battery(sim, v, FRESH)
     recovery.repair(sim, v)
     return f"vehicle {v} works again"
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from engine.dispatch.base import NOBODY_FREE
 from engine.planners.base import Leg
-from engine.sim import planning, recovery
+from engine.sim import operating, planning, recovery, together
 from engine.sim.state import ARRIVED, CHARGED, EMPTY, ORDER_DONE, PICKED, STALLED
-from engine.types import FOREVER, NONE, Activity, OrderState, StationKind, Task
+from engine.types import FOREVER, NONE, Activity, OrderState, PlanStatus, StationKind, Task
 from engine.units import ticks_from_s
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
     """Act on what happened; when that is only that loads were picked up and nothing else asks, note it."""
     news = read_marks(sim)
     sim.retry = FOREVER
-    if not (news or broken or more or unplanned_work(sim)):
+    if not (news or broken or more or sim.plan_all or unplanned_work(sim)):
         planning.retime(sim)
         return
     sim.source.see(len(sim.book.open))
@@ -36,6 +36,7 @@ def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
     if broken:
         recovery.break_and_repair(sim)
     recovery.replan(sim)
+    together.decide(sim)
     refresh_view(sim)
     charging(sim)
     dispatch(sim)
@@ -46,7 +47,7 @@ def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
 
 
 def unplanned_work(sim: Simulation) -> bool:
-    return bool(sim.needs_plan or sim.queue or (sim.book.open and free_vehicles(sim)))
+    return bool(sim.needs_plan or sim.queue or together.away(sim) or (sim.book.open and free_vehicles(sim)))
 
 
 def take_orders(sim: Simulation) -> bool:
@@ -123,9 +124,7 @@ def exchange(sim: Simulation, v: int, station: int) -> None:
     """Where batteries are swapped, change that of a vehicle just served at an entrance when it is low."""
     low = sim.fleet.charge[v] < sim.levels.good[v]
     if sim.swaps and low and sim.world.station(station).kind is StationKind.ENTRANCE:
-        soc = sim.fleet.charge[v] / sim.parts.battery.capacity_mc
-        sim.fleet.charge[v], sim.fleet.rest[v] = sim.parts.battery.capacity_mc, 0
-        sim.say("battery changed", f"vehicle {v} got a full battery for one at {soc:.0%}", 0, v)
+        operating.change_battery(sim, v, 1.0, level=0)
 
 
 def check_low(sim: Simulation, v: int) -> None:
@@ -155,8 +154,7 @@ def refresh_view(sim: Simulation) -> None:
     sim.view.tick = sim.tick
     # edge -1 reads the last edge, which is then not used
     np.copyto(sim.view.at, np.where(f.edge >= 0, g.edge_to[f.edge], f.state))
-    np.multiply(f.charge, sim.full_mv, out=sim.view.charge_mj)
-    np.floor_divide(sim.view.charge_mj, 1000, out=sim.view.charge_mj)
+    np.copyto(sim.view.charge_mj, sim.parts.battery.energy_mj(f.charge))
 
 
 def idle_vehicles(sim: Simulation) -> list[int]:
@@ -184,14 +182,19 @@ def charging(sim: Simulation) -> None:
         sim.queue = []
         return
     moves, queue = sim.parts.charging.moves(sim.view, idle)
+    no_way: list[int] = []
+    careful = len(sim.goals) == 0  # who has a goal goes there, come what may
     for move in moves:
         task = Task.TO_CHARGER if move.to_charge else Task.TO_REST
-        if planning.send(sim, move.vehicle, (), move.rests, task, NONE) and planning.under_way(sim, move.vehicle):
+        status = planning.attempt(sim, move.vehicle, (), move.rests, task, NONE, within_charge=careful)
+        if status is PlanStatus.SOLVED and planning.under_way(sim, move.vehicle):
             f.task[move.vehicle] = int(task)
-    for v in queue:
+        elif status is not PlanStatus.SOLVED and move.to_charge:
+            no_way.append(move.vehicle)
+    for v in [*queue, *no_way]:
         if v not in sim.queue:
-            sim.say("charger queue", f"vehicle {v} waits for a free charger", 1, v)
-    sim.queue = queue
+            sim.say("charger queue", f"vehicle {v} waits for a {'free' if v in queue else 'way to a'} charger", 1, v)
+    sim.queue = [*queue, *no_way]
 
 
 def home_is_good(sim: Simulation, v: int) -> bool:
@@ -202,6 +205,7 @@ def home_is_good(sim: Simulation, v: int) -> bool:
 def dispatch(sim: Simulation) -> None:
     """Give open orders to free vehicles; an order that finds no way stands back for a while, the next one is tried."""
     refused: dict[int, str] = {}
+    hungry = False
     for _ in range(ROUNDS):
         tick = sim.tick
         waiting = [o for o in sim.book.open if sim.not_before.get(o, 0) <= tick] if sim.not_before else sim.book.open[:]
@@ -211,27 +215,44 @@ def dispatch(sim: Simulation) -> None:
         sim.view.waiting = waiting
         assignments, refusals = sim.parts.dispatcher.assign(sim.view, free)
         refused |= {r.order: r.reason for r in refusals}
-        failed = [a for a in assignments if not give(sim, a)]
-        for a in failed:
+        failed = [(a, why) for a in assignments if (why := give(sim, a)) is not PlanStatus.SOLVED]
+        for a, why in failed:
             refused[a.order] = "no way free of conflicts was found"
+            if why is PlanStatus.CHARGE:
+                refused[a.order] = f"vehicle {a.vehicle} has too little charge for the way that is free"
+                if charge_first(sim, a.vehicle):
+                    hungry = True
+                    continue  # another vehicle may have it at once
             sim.not_before[a.order] = sim.tick + max(1, ticks_from_s(STAND_BACK_S, sim.tick_s))
         if not failed:
             break
         refresh_view(sim)
     for order, reason in refused.items():
-        refuse(sim, order, reason)
+        if order in sim.book.open:
+            refuse(sim, order, reason)
+    if hungry:
+        charging(sim)
 
 
-def give(sim: Simulation, a: Assignment) -> bool:
-    """Plan an assignment and put it on the floor; False when its vehicle finds no way."""
+def charge_first(sim: Simulation, v: int) -> bool:
+    """A free vehicle takes no orders until it is charged; False when it has nearly all that it can have."""
+    if sim.fleet.charge[v] >= sim.levels.top_up[v] or not sim.view.is_charger.any():
+        return False
+    sim.must_charge[v] = 1
+    return True
+
+
+def give(sim: Simulation, a: Assignment) -> PlanStatus:
+    """Plan an assignment and put it on the floor; NO_PATH or CHARGE when its vehicle finds no way within its charge."""
     book = sim.book
     pick, drop = sim.view.service_ticks
     legs = (
         Leg(book.from_place[a.order], pick, Activity.PICK, False),
         Leg(book.to_place[a.order], drop, Activity.DROP, True),
     )
-    if not planning.send(sim, a.vehicle, legs, a.rests, Task.TO_PICK, a.order):
-        return False
+    status = planning.attempt(sim, a.vehicle, legs, a.rests, Task.TO_PICK, a.order)
+    if status is not PlanStatus.SOLVED:
+        return status
     book.assign(a.order, a.vehicle)
     sim.reasons.pop(a.order, None)
     sim.not_before.pop(a.order, None)
@@ -239,7 +260,7 @@ def give(sim: Simulation, a: Assignment) -> bool:
     sim.fleet.task[a.vehicle] = int(Task.TO_PICK)
     order_row(sim, a.order)
     sim.say("assigned", f"vehicle {a.vehicle} takes order {a.order}", 0, a.vehicle, a.order)
-    return True
+    return status
 
 
 def refuse(sim: Simulation, order: int, reason: str) -> None:
@@ -254,6 +275,11 @@ def refuse(sim: Simulation, order: int, reason: str) -> None:
 
 def check_done(sim: Simulation) -> None:
     finish = sim.scenario.time.finish
+    if finish == "goals reached":
+        if together.reached(sim):
+            sim.done = True
+            sim.say("run done", "every vehicle rests at its goal")
+        return
     if finish == "never" or sim.source.next_tick < FOREVER or sim.book.unfinished:
         return
     f = sim.fleet

@@ -39,7 +39,7 @@ from engine.sim.state import (
     Levels,
     Sink,
 )
-from engine.traffic import Claims, GraphArrays, Steps, release
+from engine.traffic import FAR, Claims, GraphArrays, Steps, release
 from engine.types import FOREVER, NONE, PRIMITIVE_0, Activity, Cause, Component, Task, VehicleState
 
 WAIT, PICK, DROP, CHARGE = int(Activity.WAIT), int(Activity.PICK), int(Activity.DROP), int(Activity.CHARGE)
@@ -215,7 +215,7 @@ def due(
         open_interval(f, g, sink, total_mj, v, WAIT, C_DELAY, NONE, t, FOREVER)
         clock[LATE] = 1
         return False
-    if p.start[v, k] > t:
+    if t < p.start[v, k] < FAR:
         f.wake[v] = p.start[v, k]
         open_interval(f, g, sink, total_mj, v, WAIT, C_PLANNED, NONE, t, FOREVER)
         return False
@@ -256,8 +256,14 @@ def motion_now(f: Fleet, p: Steps, g: GraphArrays, v: int, t: int) -> int:
 @lean
 def voltage(levels: Levels, charge: int, capacity: int) -> int:
     """Voltage in mV at a charge, from the battery's table."""
+    return levels.voltage_mv[sample_at(levels, charge, capacity)]
+
+
+@lean
+def sample_at(levels: Levels, charge: int, capacity: int) -> int:
+    """Index of a charge in the battery's tables."""
     last = len(levels.voltage_mv) - 1
-    return levels.voltage_mv[min(max(charge * last // capacity, 0), last)]
+    return min(max(charge * last // capacity, 0), last)
 
 
 @lean
@@ -413,7 +419,8 @@ def draw_energy(
         volt = voltage(levels, f.charge[v], levels.capacity[v])
         if f.kind[v] == CHARGE:
             gross, net = levels.power[0], levels.power[1]
-            room = ((levels.full[v] - f.charge[v]) * volt + 999) // 1000 + drawn
+            room = ((levels.full[v] - f.charge[v]) * volt + 999) // 1000
+            room = min(room, levels.accept_mj[sample_at(levels, f.charge[v], levels.capacity[v])]) + drawn
             if net > room:
                 gross, net = gross * room // net, room
             f.ledger[v, CHARGED_MJ] -= gross

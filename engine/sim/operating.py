@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from engine.sim import deciding, planning
 from engine.types import FOREVER, NONE, Activity, Task
 
@@ -20,6 +22,7 @@ def release_order(sim: Simulation, v: int) -> None:
     """A vehicle forgets its order and will be planned anew."""
     sim.fleet.order[v] = NONE
     sim.fleet.task[v] = int(Task.TO_REST)
+    deciding.check_low(sim, v)
     planning.drop_plan(sim, v)
 
 
@@ -42,7 +45,7 @@ def set_block(sim: Simulation, place: int, blocked: bool) -> None:
     sim.ledger.row("blocks", sim.tick, place, int(blocked))
     sim.say("blocked" if blocked else "unblocked", sim.world.label(place), int(blocked), NONE, NONE, place)
     if not blocked:
-        sim.try_at[:] = 0
+        sim.try_at[:] = sim.together_at = 0
         return
     slot = int(sim.claims.next[place])
     owners: list[int] = []
@@ -51,8 +54,16 @@ def set_block(sim: Simulation, place: int, blocked: bool) -> None:
         if slot not in (int(sim.fleet.here[owner]), int(sim.fleet.back[owner])):
             owners.append(owner)
         slot = int(sim.claims.next[slot])
-    for v in dict.fromkeys(owners):
+    for v in dict.fromkeys([*owners, *cutting(sim, place)]):
         planning.drop_plan(sim, v)
+
+
+def cutting(sim: Simulation, place: int) -> list[int]:
+    """Vehicles that will drive over a corner: under the classical rule no claim says so."""
+    g, f = sim.graph, sim.fleet
+    over = np.searchsorted(g.sweep_ptr, np.flatnonzero(g.sweep == place), side="right") - 1
+    left = [(v, sim.steps.edge[v, f.step[v] : f.steps[v]]) for v in range(sim.n)]
+    return [v for v, edges in left if np.isin(edges, over).any()]
 
 
 def set_charger(sim: Simulation, charger: int, *, works: bool) -> None:
@@ -74,6 +85,13 @@ def set_charger(sim: Simulation, charger: int, *, works: bool) -> None:
         f.final[v] = int(Activity.REST)
     else:
         planning.drop_plan(sim, v)
+
+
+def change_battery(sim: Simulation, v: int, share: float, level: int = 1) -> None:
+    """A vehicle gets another battery, charged to a share of its capacity. level: of the event."""
+    sim.fleet.charge[v] = round(int(sim.levels.capacity[v]) * share)
+    sim.fleet.rest[v] = 0
+    sim.say("battery changed", f"vehicle {v} got a battery at {100 * share:.0f} %", level, v)
 
 
 def set_thresholds(sim: Simulation, new: dict[str, float]) -> None:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from engine import traffic
+from engine.dispatch.base import SAFETY
 from engine.planners.base import Budget, Leg, Plan, Request, View
 from engine.sim import deciding
 from engine.sim.state import HOLD, LATE, MARGIN
-from engine.types import FOREVER, NONE, Activity, Task
+from engine.types import FOREVER, NONE, Activity, PlanStatus, Task
 from engine.units import ticks_from_s
 
 if TYPE_CHECKING:
@@ -24,42 +25,108 @@ def service_ticks(sim: Simulation) -> tuple[int, int]:
 
 def send(sim: Simulation, v: int, legs: tuple[Leg, ...], rests: tuple[int, ...], task: Task, order: int) -> bool:
     """Plan a vehicle through legs to the first rest place that works, and commit it; False leaves all as it was."""
+    return attempt(sim, v, legs, rests, task, order, within_charge=False) is PlanStatus.SOLVED
+
+
+def attempt(
+    sim: Simulation,
+    v: int,
+    legs: tuple[Leg, ...],
+    rests: tuple[int, ...],
+    task: Task,
+    order: int,
+    *,
+    within_charge: bool = True,
+) -> PlanStatus:
+    """The same with the answer in a word: SOLVED, CHARGE when only plans beyond the charge were found, or NO_PATH."""
+    why = PlanStatus.NO_PATH
     for rest in rests:
         final = Activity.CHARGE if sim.view.is_charger[rest] else Activity.REST
-        if plan(sim, v, (*legs, Leg(rest, 0, final, False)), final, task, order):
-            return True
-    return False
+        status = plan(sim, v, (*legs, Leg(rest, 0, final, False)), final, task, order, within_charge)
+        if status in (PlanStatus.SOLVED, PlanStatus.BOUNDED):
+            return PlanStatus.SOLVED
+        if status is PlanStatus.CHARGE:
+            why = status
+    return why
 
 
-def plan(sim: Simulation, v: int, legs: tuple[Leg, ...], final: Activity, task: Task, order: int) -> bool:
+def plan(
+    sim: Simulation, v: int, legs: tuple[Leg, ...], final: Activity, task: Task, order: int, within_charge: bool
+) -> PlanStatus:
     f, p, c = sim.fleet, sim.steps, sim.claims
     retime(sim)
-    state, tick = start_of(sim, v)
+    tick = start_of(sim, v)[1]
     here, step, steps = int(f.here[v]), int(f.step[v]), int(f.steps[v])
     gap = traffic.lift(c, p, v, here, step, steps)
-    view = View(
-        sim.graph, sim.world.occupancy, sim.world.margin_ticks, sim.parts.costs, c, sim.blocked,
-        sim.block_version, sim.search, Request(v, state, int(gap), tick, int(f.cls[v]), legs),
-    )  # fmt: skip
-    begun = sim.clock_ns()
-    plan, sim.memory = sim.parts.planner.plan(view, sim.memory, Budget())
-    cpu_us = (sim.clock_ns() - begun) // 1000
-    if not plan.found:
+    plan, cpu_us = ask(sim, v, int(gap), legs)
+    status = plan.status
+    if plan.found and within_charge and left_after(sim, v, plan, tick) < floor_mj(sim, v, legs[-1].place, task):
+        status = PlanStatus.CHARGE
+    if not plan.found or status is PlanStatus.CHARGE:
         traffic.put_back(c, p, v, here, step, steps)
         sim.ledger.row(
-            "plans", sim.tick, v, int(task), order, str(plan.status), [], [], [], tick, tick, 0, plan.expanded,
-            cpu_us,
-        )  # fmt: skip
-        return False
+            "plans", sim.tick, v, int(task), order, str(status), [], [], [], tick, tick, 0, plan.expanded, cpu_us
+        )
+        return status
     traffic.forget(c, p, v, step, steps, False)
     commit(sim, v, plan)
+    accept(sim, v, plan, legs[-1].place, final, task, order, tick, cpu_us)
+    return status
+
+
+def left_after(sim: Simulation, v: int, plan: Plan, tick: int) -> int:
+    """Energy in mJ left to a vehicle at the end of a plan that starts at a tick, waits included: exact without faults.
+
+    A running motion counts as a whole.
+    """
+    f, costs, cls = sim.fleet, sim.parts.costs, int(sim.fleet.cls[v])
+    now = int(sim.parts.battery.energy_mj(int(f.charge[v])))
+    if f.edge[v] >= 0:
+        now -= int(costs.total_mj[cls, f.loaded[v], sim.graph.edge_kind[f.edge[v]]])
+    return now - (tick - sim.tick) * int(costs.standby_mj[cls]) - plan.energy_mj
+
+
+def floor_mj(sim: Simulation, v: int, rest: int, task: Task) -> int:
+    """Energy in mJ that must be left at the end of a plan: the reserve, and the way to a charger where there is none.
+
+    On the way to charge the reserve may be used: it is for that.
+    """
+    view = sim.view
+    if view.is_charger[rest] and task is Task.TO_CHARGER:
+        return 1
+    reserve = int(view.levels["reserve"] * view.capacity_mj[v])
+    return reserve if view.is_charger[rest] else reserve + int(view.to_charger_mj(rest) * SAFETY)
+
+
+def ask(sim: Simulation, v: int, gap: int, legs: tuple[Leg, ...], *, exact: bool = False) -> tuple[Plan, int]:
+    """What the planner answers for a vehicle whose claims are lifted, and its CPU time in µs.
+
+    exact: the best plan among the reservations answers in the planner's place.
+    """
+    state, tick = start_of(sim, v)
+    view = View(
+        sim.graph, sim.world.occupancy, sim.world.margin_ticks, sim.parts.costs, sim.claims, sim.blocked,
+        sim.block_version, sim.search, Request(v, state, gap, tick, int(sim.fleet.cls[v]), legs),
+    )  # fmt: skip
+    begun = sim.clock_ns()
+    if exact:
+        plan = sim.search.through(view, sim.scenario.planner.objective, Budget())
+    else:
+        plan, sim.memory = sim.parts.planner.plan(view, sim.memory, Budget())
+    return plan, (sim.clock_ns() - begun) // 1000
+
+
+def accept(
+    sim: Simulation, v: int, plan: Plan, end: int, final: Activity, task: Task, order: int, tick: int, cpu_us: int
+) -> None:
+    """Book a committed plan: where it ends, what follows, its row in the log."""
+    f = sim.fleet
     f.final[v] = int(final)
-    settle(sim, v, legs[-1].place)
+    settle(sim, v, end)
     plan_row(sim, v, plan, task, order, tick, cpu_us)
     if len(plan.edges) == 0 and f.t1[v] == FOREVER:
         f.task[v] = int(task)
         deciding.arrived(sim, v)
-    return True
 
 
 def under_way(sim: Simulation, v: int) -> bool:

@@ -33,6 +33,8 @@ def replan(sim: Simulation) -> None:
         for v in stuck:
             for w in planning.behind(sim, v):
                 if w not in stuck and w not in later:
+                    if sim.fleet.task[w] == Task.SENT:
+                        sim.say("stalled", f"vehicle {v} stands in the way of vehicle {w}, which is planned anew", 1, w)
                     planning.drop_plan(sim, w)
                     fresh.append(w)
         sim.needs_plan = list(dict.fromkeys([*stuck, *later, *sim.needs_plan]))
@@ -80,6 +82,7 @@ def give_back(sim: Simulation, v: int, order: int) -> None:
     sim.book.reopen(order)
     sim.fleet.order[v] = NONE
     sim.fleet.task[v] = int(Task.TO_REST)
+    deciding.check_low(sim, v)
     deciding.order_row(sim, order)
     sim.say("order given back", f"vehicle {v} gives order {order} back", 1, v, order)
 
@@ -109,7 +112,7 @@ def repair(sim: Simulation, v: int) -> None:
         return
     sim.fleet.failed[v] = 0
     sim.say("repaired", f"vehicle {v} works again", 0, v)
-    sim.try_at[:] = 0
+    sim.try_at[:] = sim.together_at = 0
     if v not in sim.needs_plan:
         sim.needs_plan.append(v)
 

@@ -21,6 +21,7 @@ from engine.energy import Battery, CostTable
 from engine.errors import InvariantBroken
 from engine.orders.book import OrderBook
 from engine.orders.sources import OrderSource
+from engine.planners import Solver
 from engine.planners.base import Memory, Planner, Search
 from engine.scenario.model import Scenario
 from engine.sim import checkpoint, deciding, kernels, learning, operating, planning
@@ -73,6 +74,10 @@ class Parts:
     faults: Faults
     start: tuple[int, ...]
     initial_soc: NDArray[np.float64]
+    cls: NDArray[np.int8]  # (V,) vehicle class, row of the costs
+    facing: NDArray[np.int32]  # (V,) motion state at tick 0; empty: straight out of the place
+    goals: NDArray[np.int32]  # (V,) place where a vehicle goes for good; empty: orders say where
+    solver: Solver | None = None  # plans everybody at once
 
 
 class Simulation:
@@ -97,7 +102,9 @@ class Simulation:
         self.source, self.faults = parts.source, parts.faults
         self.search = parts.search
         self.swaps = parts.scenario.battery.exchange == "swap"
-        self.full_mv = int(parts.battery.voltage_mv[-1])
+        self.goals = parts.goals
+        self.plan_all = True  # everybody with a goal is to be planned at the next occasion
+        self.together_at, self.together_pause = 0, 1
         self.memory: Memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.levels = self._levels(n)
         self.clock = np.zeros(LINGERING + 1, np.int64)
@@ -134,6 +141,7 @@ class Simulation:
         return Levels(
             all_of(charging.full), all_of(max(charging.full - 0.03, charging.sufficient * 0.97)),
             all_of(charging.sufficient), all_of(charging.good), all_of(1.0), power, self.parts.battery.voltage_mv,
+            self.parts.battery.accept_mj(self.tick_s),
         )  # fmt: skip
 
     def _floor_view(self) -> FloorView:
@@ -143,12 +151,12 @@ class Simulation:
         is_charger[world.chargers] = 1
         is_rest = np.zeros(self.graph.n_places, np.uint8)
         is_rest[rests] = 1
-        full = self.parts.battery.capacity_mc * int(self.parts.battery.voltage_mv[-1]) // 1000
+        full = self.parts.battery.energy_mj(self.parts.battery.capacity_mc)
         return FloorView(
             tick=0, tick_s=self.tick_s, search=self.search, orders=self.book, waiting=[], at=np.zeros(self.n, np.int32),
             charge_mj=np.zeros(self.n, np.int64), capacity_mj=np.full(self.n, full, np.int64), home=self.home,
             holder=self.holder, is_charger=is_charger, is_rest=is_rest, rests=rests, xy=self.graph.xy_m,
-            heaviest=1.0 + fleet.payload_kg / fleet.mass_kg, standby_mj=int(self.parts.costs.standby_mj[0]),
+            heaviest=1.0 + fleet.payload_kg / min(fleet.each_mass_kg), standby_mj=int(self.parts.costs.standby_mj[0]),
             service_ticks=planning.service_ticks(self), levels=self.thresholds, must_charge=self.must_charge,
             blocked=self.blocked,
         )  # fmt: skip
@@ -163,10 +171,11 @@ class Simulation:
         clock[DELAY_PPM] = round(s.faults.delay_probability * 1e6)
         clock[DELAY_LO], clock[DELAY_HI] = s.faults.delay_ticks
         clock[HALF] = clock[DECIDE] = 1
+        f.cls[:] = self.parts.cls
         f.charge[:] = np.rint(self.parts.initial_soc * self.parts.battery.capacity_mc).astype(np.int64)
         for v, place in enumerate(self.parts.start):
             f.here[v] = traffic.claim(self.claims, place, 0, FOREVER, v)
-            f.state[v] = self._facing_out(place)
+            f.state[v] = self.parts.facing[v] if len(self.parts.facing) else self._facing_out(place)
             planning.settle(self, v, place)
             f.final[v] = int(Activity.CHARGE if self.view.is_charger[place] else Activity.REST)
             # the first interval begins as whatever the first step makes of it
@@ -235,8 +244,9 @@ class Simulation:
         soc = (f.sampled / capacity).astype(np.float32)
         return Poses(
             xy[:, 0], xy[:, 1], ((a + turn * part) % 360).astype(np.float32), soc,
-            np.maximum(f.shown[:, 0], 0).astype(np.uint8), f.loaded.astype(np.uint8),
-            (soc < self.thresholds["good"]).astype(np.uint8), f.order.copy(), here.astype(np.int32),
+            np.maximum(f.shown[:, 0], 0).astype(np.uint8), np.maximum(f.shown[:, 1], 0).astype(np.uint8),
+            f.loaded.astype(np.uint8), (soc < self.thresholds["good"]).astype(np.uint8), f.order.copy(),
+            here.astype(np.int32),
         )  # fmt: skip
 
     def advance(self, ticks: int) -> int:
@@ -317,12 +327,14 @@ class Simulation:
     def become(self, parts: Parts, *, keep_orders: bool, keep_faults: bool) -> None:
         """Go on with another planner, policies or order source; motions already committed finish first."""
         old = self.parts
-        if parts.planner != old.planner:
+        if parts.planner != old.planner or parts.solver != old.solver:
+            self.plan_all = True
+            self.clock[DECIDE] |= len(self.goals) > 0
             self.memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.parts = replace(
             parts, world=old.world, search=old.search, costs=old.costs, battery=old.battery, power_mj=old.power_mj
         )
-        if parts.planner != old.planner:
+        if parts.planner != old.planner or parts.solver != old.solver:
             times = self.learning.times
             self.learning = learning.Learning(self)
             self.learning.times = times

@@ -65,7 +65,7 @@ class Fleet(NamedTuple):
 
 
 class Levels(NamedTuple):
-    """Charge levels per vehicle in mC, and the charger: gross and net mJ per tick."""
+    """Charge levels per vehicle in mC; the charger: gross and net mJ per tick; the battery over its state of charge."""
 
     full: I64
     top_up: I64
@@ -73,7 +73,8 @@ class Levels(NamedTuple):
     good: I64
     capacity: I64
     power: I64  # (2,)
-    voltage_mv: I64  # (POINTS,) over the state of charge
+    voltage_mv: I64  # (POINTS,)
+    accept_mj: I64  # (POINTS,) most that it takes in per tick
 
 
 class Sink(NamedTuple):

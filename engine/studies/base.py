@@ -1,8 +1,8 @@
 """Studies: a paper's experiments run again, its table beside ours.
 
 A study is a frozen value with a name, its paper, its experiments, and `run`. Work is cut into cells (one map of one
-case of one experiment); a cell is a function of plain values, is run by joblib on any number of cores, and is kept in a
-folder, so that a run that was ended goes on where it was.
+case of one experiment); a cell is a function of plain values, is run by joblib on any number of cores or on a cluster,
+and is kept in a folder, so that a run that was ended goes on where it was. A cell of other code is never used.
 """
 
 from __future__ import annotations
@@ -11,8 +11,13 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+import shutil
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
@@ -20,7 +25,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy import stats
 
-from engine.errors import ScenarioError, WattlaneError, unknown_name
+from engine.errors import InvariantBroken, RunError, ScenarioError, WattlaneError, unknown_name
 
 STUDIES: dict[str, str] = {
     "xu2025": "engine.studies.xu2025:Xu2025",
@@ -29,6 +34,11 @@ STUDIES: dict[str, str] = {
 Cell = dict[str, Any]
 Progress = Callable[[int, int, str], bool | None]
 """Told (cells done, cells in all, what); answers False to end the run, keeping the cells that are done."""
+
+NOT_IN_CELLS = ("replay", "results", "studies")
+"""Rooms of the engine whose code can't change what a cell finds."""
+VERSIONS_KEPT = 2
+"""Cells of so many versions of the code stay in a folder."""
 
 
 class Ended(WattlaneError):
@@ -39,7 +49,8 @@ class Ended(WattlaneError):
 class Settings:
     """maps: per case, the study's own number by default · quick: few maps · folder: where cells are kept, if anywhere
 
-    · backend: joblib's, such as `loky`, or `dask` inside a `joblib.parallel_config`.
+    · backend: joblib's, such as `loky`, or `dask` inside a `joblib.parallel_config` · cold: kernels have still to be
+    compiled, so one cell of each experiment is run before the others, and by one process.
     """
 
     quick: bool = False
@@ -47,10 +58,13 @@ class Settings:
     seed: int = 11
     folder: Path | None = None
     backend: str = "loky"
+    cold: bool = False
 
     def __post_init__(self) -> None:
-        if self.maps is not None and self.maps < 1:
-            raise ScenarioError(f"at least one map per case was expected, got {self.maps}")
+        if self.maps is not None and not 1 <= self.maps <= 100_000:
+            raise ScenarioError(f"between 1 and 100000 maps per case were expected, got {self.maps}")
+        if self.seed < 0:
+            raise ScenarioError(f"a seed of zero or more was expected, got {self.seed}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,26 +89,44 @@ class Row:
     note: str = ""
 
 
+FIGURE_KINDS = ("lines", "bars", "scatter", "histogram", "table", "gantt", "floor")
+
+
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """Data of one figure as plain values; `kind` says how it is meant (lines, floor)."""
+    """Data of one figure as plain values; `kind` says how it is drawn, and so what `data` holds.
+
+    lines, bars, scatter: `series`, each {name, x, y} and optionally half (of the interval about y) and style (`dash`);
+    `bands`, each {name, x, low, high}; x_title, y_title, log_y · histogram: `series`, each {name, values}; x_title ·
+    table: columns, rows · gantt: `bars`, each {row, begin, end, name}; x_title · floor: rows (text, the lowest first,
+    `@` an obstacle), paths (name → vehicles → cells [x, y]), captions (name → text) · all: `note`, a sentence.
+    """
 
     name: str
     title: str
     kind: str
     data: Mapping[str, Any]
 
+    def __post_init__(self) -> None:
+        if self.kind not in FIGURE_KINDS:
+            raise InvariantBroken(f"figure {self.name}: {unknown_name('kind', self.kind, FIGURE_KINDS)}")
+
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A study's answer. parameters: the one set that produced all rows."""
+    """A study's answer. parameters: the one set that produced all rows · plans, breaches: how many plans the judge saw,
+    and what it found · notes: why ours differs, and how each side was counted.
+    """
 
     study: str
     title: str
     paper: str
+    experiments: Mapping[int, str]
     parameters: Mapping[str, Any]
     rows: tuple[Row, ...]
     figures: tuple[Figure, ...]
+    plans: int
+    breaches: int
     notes: tuple[str, ...] = field(default=())
 
 
@@ -121,6 +153,11 @@ class Study(Protocol):
         """Number → what is compared."""
         ...
 
+    @property
+    def maps(self) -> tuple[int, int]:
+        """Maps (or repetitions) per case: of a quick run, and of a full one."""
+        ...
+
     def run(self, settings: Settings, progress: Progress, jobs: int = 1) -> Result:
         """All experiments. Raises Ended when progress says so."""
         ...
@@ -141,33 +178,97 @@ def study(name: str) -> Study:
 def run_cells(
     work: Callable[[Cell], Cell], cells: Sequence[Cell], settings: Settings, progress: Progress, jobs: int = 1
 ) -> list[Cell]:
-    """The result of every cell, in order; those found in the folder aren't computed again. Raises Ended."""
-    results: list[Cell | None] = [_kept(settings.folder, cell) for cell in cells]
+    """The result of every cell, in order; those found in the folder aren't computed again. Raises Ended.
+
+    work: a function of a module, so that other processes find it · jobs: processes, −1 for one per core.
+    """
+    code = code_version(work.__module__)
+    folder = None if settings.folder is None else _folder_of(settings.folder, code)
+    results: list[Cell | None] = [_kept(folder, cell) for cell in cells]
     missing = [i for i, result in enumerate(results) if result is None]
     done = len(cells) - len(missing)
-    if progress(done, len(cells), "cells kept from before") is False:
+    if progress(done, len(cells), "cells kept from before" if done else "starting") is False:
         raise Ended(f"ended after {done} of {len(cells)} cells")
-    for i, result in _results(work, [(i, cells[i]) for i in missing], settings.backend, jobs):
-        results[i] = result
-        _keep(settings.folder, cells[i], result)
-        done += 1
-        if progress(done, len(cells), str(cells[i].get("what", ""))) is False:
-            raise Ended(f"ended after {done} of {len(cells)} cells")
+    first = _first_of_each(cells, missing) if settings.cold and jobs != 1 and settings.backend == "loky" else []
+    later = [i for i in missing if i not in first]
+    for which, processes in ((first, 1), (later, jobs)):
+        found = _results(work, [(i, cells[i]) for i in which], code, settings.backend, processes)
+        try:
+            for i, result in found:
+                results[i] = result
+                _keep(folder, cells[i], result)
+                done += 1
+                if progress(done, len(cells), str(cells[i].get("what", ""))) is False:
+                    raise Ended(f"ended after {done} of {len(cells)} cells")
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # joblib's, about cells that nobody waits for any more
+                found.close()
     return [result for result in results if result is not None]
 
 
-def _results(work: Callable[[Cell], Cell], numbered: Sequence[tuple[int, Cell]], backend: str, jobs: int) -> Any:
-    if jobs == 1 and backend == "loky":
-        return ((i, work(cell)) for i, cell in numbered)
+def _first_of_each(cells: Sequence[Cell], missing: Sequence[int]) -> list[int]:
+    """One missing cell of each experiment."""
+    found: dict[Any, int] = {}
+    for i in missing:
+        found.setdefault(cells[i].get("experiment"), i)
+    return list(found.values())
+
+
+def _results(
+    work: Callable[[Cell], Cell], numbered: Sequence[tuple[int, Cell]], code: str, backend: str, jobs: int
+) -> Generator[Any, None, None]:
+    if backend == "loky" and (jobs == 1 or len(numbered) < 2):
+        for i, cell in numbered:
+            yield i, work(cell)
+        return
     from joblib import Parallel, delayed
 
-    return Parallel(n_jobs=jobs, backend=backend, return_as="generator_unordered", batch_size=4)(
-        delayed(_numbered)(work, i, cell) for i, cell in numbered
-    )
+    # another backend is the one of the `parallel_config` around this, with its client
+    more = {"backend": backend, "initializer": _leave_ending_to_the_first} if backend == "loky" else {}
+    pool = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1, **more)
+    found = pool(delayed(_numbered)(work, i, cell, code) for i, cell in numbered)
+    try:
+        yield from found
+    finally:
+        found.close()
 
 
-def _numbered(work: Callable[[Cell], Cell], i: int, cell: Cell) -> tuple[int, Cell]:
+def _leave_ending_to_the_first() -> None:
+    """Ctrl-C reaches every process of a terminal; the one that began the others ends them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore")
+
+
+def _numbered(work: Callable[[Cell], Cell], i: int, cell: Cell, code: str) -> tuple[int, Cell]:
+    if code_version(work.__module__) != code:
+        raise RunError("a worker has other code than this program: it was changed meanwhile, or its version differs")
     return i, work(cell)
+
+
+@cache
+def code_version(module: str) -> str:
+    """Names the code that a cell's result depends on: the solving rooms of the engine, one study's module, numpy."""
+    engine = Path(__file__).resolve().parent.parent
+    own = getattr(sys.modules.get(module) or import_module(module), "__file__", None)
+    files = [file for file in engine.rglob("*.py") if file.relative_to(engine).parts[0] not in NOT_IN_CELLS]
+    found = hashlib.sha256(f"{np.__version__} {module}".encode())
+    for file in sorted(files):
+        found.update(file.relative_to(engine).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    if own is not None:
+        found.update(Path(own).read_bytes())
+    return found.hexdigest()[:16]
+
+
+def _folder_of(folder: Path, code: str) -> Path:
+    """Where the cells of this code are kept; those of old code are removed."""
+    own = folder / code
+    own.mkdir(parents=True, exist_ok=True)
+    os.utime(own)
+    others = sorted((f for f in folder.iterdir() if f.is_dir()), key=lambda f: f.stat().st_mtime, reverse=True)
+    for old in others[VERSIONS_KEPT:]:
+        shutil.rmtree(old, ignore_errors=True)
+    return own
 
 
 def _file(folder: Path, cell: Cell) -> Path:
@@ -189,7 +290,6 @@ def _kept(folder: Path | None, cell: Cell) -> Cell | None:
 def _keep(folder: Path | None, cell: Cell, result: Cell) -> None:
     if folder is None:
         return
-    folder.mkdir(parents=True, exist_ok=True)
     file = _file(folder, cell)
     part = file.with_suffix(f".{os.getpid()}.part")
     part.write_text(json.dumps({"cell": cell, "result": result}), "utf-8")
@@ -224,12 +324,21 @@ def row(
     return Row(experiment, quantity, case, unit, (low, high), mean, half, len(values), verdict, off, note)
 
 
+def by_quantity(rows: Sequence[Row]) -> list[Row]:
+    """The rows of a quantity below each other, quantities in the order in which they first come."""
+    first: dict[tuple[int, str], int] = {}
+    for r in rows:
+        first.setdefault((r.experiment, r.quantity), len(first))
+    return sorted(rows, key=lambda r: (r.experiment, first[r.experiment, r.quantity]))
+
+
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def to_json(result: Result) -> str:
-    """The whole result; numbers that aren't become null."""
-    return json.dumps(_plain(asdict(result)), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+def as_plain(result: Result) -> dict[str, Any]:
+    """The whole result as JSON's values; numbers that aren't become null."""
+    found: dict[str, Any] = _plain(asdict(result))
+    return found
 
 
 def _plain(value: Any) -> Any:
@@ -237,44 +346,6 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def to_markdown(result: Result) -> str:
-    """The table and the parameters."""
-    lines = [f"# {result.title}", "", result.paper, ""]
-    lines += [
-        "| experiment | quantity | case | paper | ours | 95 % | n | verdict |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for r in result.rows:
-        low, high = r.paper or (0.0, 0.0)
-        paper = "–" if r.paper is None else f"{low:g}" if low == high else f"{low:g}–{high:g}"
-        half = "–" if r.half_width is None else f"±{r.half_width:.2f}"
-        verdict = r.verdict if r.off is None else f"{r.verdict} ({r.off:+.2f})" if r.off else r.verdict
-        note = f" ({r.note})" if r.note else ""
-        words = [
-            str(r.experiment),
-            f"{r.quantity}{note}, {r.unit}",
-            r.case,
-            paper,
-            f"{r.ours:.2f}",
-            half,
-            str(r.n),
-            verdict,
-        ]
-        lines.append(f"| {' | '.join(words)} |")
-    lines += ["", "One parameter set for all rows:", ""]
-    lines += [f"- {name}: {value}" for name, value in result.parameters.items()]
-    if result.notes:
-        lines += ["", *[f"- {note}" for note in result.notes]]
-    return "\n".join(lines) + "\n"
-
-
-def write(result: Result, folder: Path) -> tuple[Path, Path]:
-    """`<study>.json` (rows, parameters, figures' data) and `<study>.md` in a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    files = folder / f"{result.study}.json", folder / f"{result.study}.md"
-    files[0].write_text(to_json(result), "utf-8")
-    files[1].write_text(to_markdown(result), "utf-8")
-    return files

@@ -127,6 +127,8 @@ class World(ABC):
 
     def station(self, number: int) -> Station:
         """The station with this number, from 1. Raises BadInput when there is none."""
+        if not self.stations:
+            raise BadInput(f"unknown station {number}; the floor has no stations")
         if not 1 <= number <= len(self.stations):
             raise BadInput(f"unknown station {number}; stations are numbered 1 to {len(self.stations)}")
         return self.stations[number - 1]

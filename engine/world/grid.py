@@ -120,12 +120,12 @@ def _primitives(motion: GridMotion, n_head: int) -> tuple[tuple[Primitive, ...],
                 # a reversal always stops first, so it always starts
                 starts = not moving or turn == 180
                 name = word if moving else f"start {word}"
-                out.append(Primitive(name, round(length * arc), turn, starts, False, ticks))
+                out.append(Primitive(name, length * arc, turn, starts, False, ticks))
     if motion.turning == "pivot":
         for moving in (1, 0):
             index[("pivot", step_deg, moving, 0)] = len(out)
             name = "stop pivot" if moving else "pivot"
-            out.append(Primitive(name, 0, step_deg, False, True, motion.turn_ticks, bool(moving)))
+            out.append(Primitive(name, 0, step_deg, False, True, motion.turn_ticks))
     return tuple(out), index
 
 
@@ -186,5 +186,5 @@ def assemble(
         heading_deg=heading_deg or tuple(range(0, 360, 360 // n_head)),
         primitives=primitives,
         kind_ticks=np.array([p.ticks for p in primitives], i32),
-        kind_mm=np.array([p.length_mm for p in primitives], i32),
+        kind_mm=np.array([round(p.length_mm) for p in primitives], i32),
     )

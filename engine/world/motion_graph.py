@@ -21,17 +21,16 @@ F32 = NDArray[np.float32]
 class Primitive:
     """One kind of motion: what its time and energy depend on.
 
-    name: field's word, unique in a graph · length_mm: distance driven · turn_deg: change of heading, 0…180
-    · starts: begins from standstill · pivot: turns on the spot · ticks: duration · stops: brakes before it begins.
+    name: field's word, unique in a graph · length_mm: distance driven, not rounded (energy is computed from it)
+    · turn_deg: change of heading, 0…180 · starts: begins from standstill · pivot: turns on the spot · ticks: duration.
     """
 
     name: str
-    length_mm: int
+    length_mm: float
     turn_deg: int
     starts: bool
     pivot: bool
     ticks: int
-    stops: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,7 @@ class MotionGraph:
     heading_deg: tuple[int, ...]
     primitives: tuple[Primitive, ...]
     kind_ticks: I32 = field(repr=False)  # (K,)
-    kind_mm: I32 = field(repr=False)  # (K,)
+    kind_mm: I32 = field(repr=False)  # (K,) distance in whole millimetres
 
     @property
     def n_places(self) -> int:

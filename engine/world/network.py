@@ -319,8 +319,7 @@ class _Kinds:
             if any(p.name == name for p in self.all):
                 name = f"{name} in {ticks} ticks"
             self._index[key] = len(self.all)
-            stops = pivot and not starts
-            self.all.append(Primitive(name, length_mm, turn_deg, starts and not pivot, pivot, ticks, stops))
+            self.all.append(Primitive(name, length_mm, turn_deg, starts and not pivot, pivot, ticks))
         return self._index[key]
 
 

@@ -19,6 +19,7 @@ class Poses:
     heading_deg: F32
     soc: F32  # of the latest battery sample
     state: NDArray[np.uint8]  # VehicleState
+    task: NDArray[np.uint8]  # Task
     loaded: NDArray[np.uint8]
     low: NDArray[np.uint8]  # below the level at which a free vehicle goes charging
     order: NDArray[np.int32]

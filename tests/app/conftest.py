@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from app.settings import Settings
+from tests.app.said import Said
 
 SHORT: dict[str, object] = {"time.until_s": 240.0}
 
@@ -46,3 +47,16 @@ def client(recorded: Path) -> Iterator[Any]:
         yield made
     app.wattlane_manager.close()
     set_manager(None)
+
+
+@pytest.fixture
+def wattlane(capfd: pytest.CaptureFixture[str]) -> Any:
+    from app.cli import main
+
+    def call(*arguments: object) -> Said:
+        capfd.readouterr()
+        code = main([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return Said(code, out, err)
+
+    return call

@@ -11,34 +11,12 @@ import pytest
 
 from app import cli
 from engine.errors import BadInput
+from tests.app.said import refused
 
 KEYS = {
     "scenario", "planner", "seed", "run_id", "run_dir", "sim_s", "wall_s", "orders_created", "orders_done", "breaches",
     "stranded", "energy_j", "energy_by_component", "digest",
 }  # fmt: skip
-
-
-class Said:
-    """Exit code, stdout and stderr of one call."""
-
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-    @property
-    def json(self) -> Any:
-        assert self.out.count("\n") == 1, "one JSON object on one line"
-        return json.loads(self.out)
-
-
-@pytest.fixture
-def wattlane(capfd: pytest.CaptureFixture[str]) -> Any:
-    def call(*arguments: object) -> Said:
-        capfd.readouterr()
-        code = cli.main([str(argument) for argument in arguments])
-        out, err = capfd.readouterr()
-        return Said(code, out, err)
-
-    return call
 
 
 @pytest.fixture
@@ -48,20 +26,10 @@ def data(recorded: Path, tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def refused(said: Said, *words: str) -> None:
-    """Exit code 2, nothing on stdout, one sentence on stderr and no traceback."""
-    assert said.code == 2
-    assert said.out == ""
-    assert "Traceback" not in said.err
-    assert said.err.startswith("wattlane: ")
-    for word in words:
-        assert word in said.err
-
-
 def test_help_and_version(wattlane: Any) -> None:
     assert "dashboard" in wattlane("--help").out
     assert wattlane("--version").out.startswith("wattlane ")
-    for command in ("dashboard", "run", "resume", "replay", "judge", "export", "validate", "bench", "runs"):
+    for command in ("dashboard", "run", "resume", "replay", "judge", "export", "validate", "solve", "bench", "runs"):
         assert wattlane(command, "--help").code == 0
 
 

@@ -21,8 +21,18 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Playwright, Request, sync_playwright
+from playwright.sync_api import (
+    Browser,
+    BrowserContext,
+    ConsoleMessage,
+    Page,
+    Playwright,
+    Request,
+    expect,
+    sync_playwright,
+)
 
+from tests.browser.stage import WAIT_MS
 from tests.conftest import ROOT
 
 QUIET = [
@@ -138,11 +148,16 @@ class Watch:
         context.on("console", self._console)
         context.on("weberror", lambda error: self.complaints.append(f"uncaught: {error.error}"))
         context.on("request", self._request)
-        context.on("page", lambda page: page.on("websocket", lambda socket: self._address(socket.url)))
+        context.on("page", self._sockets)
+        for page in context.pages:
+            self._sockets(page)
 
     def verdict(self) -> list[str]:
         """The complaints that no pattern allows."""
         return [text for text in self.complaints if not any(pattern.search(text) for pattern in self.allowed)]
+
+    def _sockets(self, page: Page) -> None:
+        page.on("websocket", lambda socket: self._address(socket.url))
 
     def _console(self, message: ConsoleMessage) -> None:
         if message.type == "error":
@@ -161,7 +176,8 @@ class Watch:
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
     """Keeps a picture of each open page of a failed test, below build/browser."""
     report = yield
-    context = getattr(item, "funcargs", {}).get("context")
+    arguments = getattr(item, "funcargs", {})
+    context = arguments.get("context") or arguments.get("kept_context")
     if call.when == "call" and report.failed and context is not None:
         SHOTS.mkdir(parents=True, exist_ok=True)
         for number, page in enumerate(context.pages):
@@ -176,6 +192,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 # While Playwright is open its event loop runs in this thread, and asyncio.run refuses: it ends with this folder.
 @pytest.fixture(scope="package")
 def playwright() -> Iterator[Playwright]:
+    expect.set_options(timeout=WAIT_MS)
     with sync_playwright() as started:
         yield started
 
@@ -217,7 +234,7 @@ def watch() -> Iterator[Watch]:
 def _watched(browser: Browser, watch: Watch, **options: object) -> Iterator[BrowserContext]:
     options.setdefault("viewport", {"width": 1440, "height": 900})
     context = browser.new_context(**options)  # type: ignore[arg-type]
-    context.set_default_timeout(20_000)
+    context.set_default_timeout(WAIT_MS)
     watch.follow(context)
     yield context
     context.close()
@@ -233,6 +250,25 @@ def context(browser: Browser, watch: Watch, request: pytest.FixtureRequest) -> I
 @pytest.fixture
 def page(context: BrowserContext) -> Page:
     return context.new_page()
+
+
+@pytest.fixture(scope="module")
+def kept_context(browser: Browser) -> Iterator[BrowserContext]:
+    """A profile with one page for a whole file: the second visit costs a quarter of the first."""
+    context = browser.new_context(viewport={"width": 1440, "height": 900})
+    context.set_default_timeout(WAIT_MS)
+    context.new_page()
+    yield context
+    context.close()
+
+
+@pytest.fixture
+def kept_page(kept_context: BrowserContext, watch: Watch) -> Iterator[Page]:
+    """The page of that profile, watched."""
+    watch.follow(kept_context)
+    yield kept_context.pages[0]
+    kept_context.pages[0].unroute_all()
+    kept_context.pages[0].goto("about:blank")
 
 
 @pytest.fixture

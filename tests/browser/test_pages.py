@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.stage import api, open_stage, stop_run
+from tests.browser.stage import FIRST_FRAME_MS, api, open_stage, stop_run, until, vehicle_at
 from tests.synthetic import make_run
 
 pytestmark = pytest.mark.browser
+ORDER = ("Operate", "Replay", "Compare", "Learn", "Papers", "Scenarios")
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 
 
@@ -25,12 +26,31 @@ def recorded(dashboard: Any) -> str:
 def test_navigation_leads_only_to_what_exists(dashboard: Any, page: Page) -> None:
     page.goto(f"{dashboard.url}/runs")
     links = page.locator(".wl-nav a")
-    expect(links).to_have_text(["Operate", "Replay"])
-    for link in links.all():
+    expect(links.first).to_be_visible()
+    words = links.all_inner_texts()
+    assert words == [word for word in ORDER if word in words]
+    for word in words:
+        link = page.locator(".wl-nav a", has_text=word)
         link.click()
-        expect(page.locator(".wl-stage, .wl-catalogue").first).to_be_visible(timeout=20_000)
-        page.wait_for_timeout(1500)  # charts that are still being drawn complain when they are taken away
+        expect(link).to_have_class("current")
+        expect(page.locator("#page > .wl-loading")).to_have_count(0)
+        expect(page.locator(".wl-empty", has_text="can't be shown")).to_have_count(0)
+    page.locator(".wl-nav a", has_text="Replay").click()
     expect(page.locator("h1")).to_have_text("Runs")
+
+
+def test_a_stage_ends_with_its_page(dashboard: Any, page: Page, recorded: str) -> None:
+    """However soon a page is left: nothing goes on in it, and nothing is said to components that are gone."""
+    address = f"{dashboard.url}/replay?run={recorded}&t=300"
+    open_stage(page, address)
+    for _ in range(3):
+        page.locator(".wl-nav a", has_text="Replay").click()
+        expect(page.locator(".wl-catalogue")).to_be_visible()
+        until(page, "wattlane.stage === null")
+        expect(page.locator(".wl-chip")).to_have_count(0)
+        page.locator("tr", has_text=recorded).get_by_role("link", name="Replay", exact=True).click()
+        expect(page.locator(".wl-chip")).to_have_text("REPLAY")
+        until(page, "wattlane.stage.pulseNumber > 0")
 
 
 @pytest.mark.parametrize(
@@ -46,7 +66,7 @@ def test_what_is_not_there_is_a_sentence_with_a_way_on(dashboard: Any, page: Pag
 def test_an_empty_program_names_the_first_action(new_dashboard: Callable[..., Any], page: Page) -> None:
     own = new_dashboard()
     open_stage(page, own.url)
-    expect(page.locator(".wl-clock")).not_to_have_text("00:00:00", timeout=150_000)
+    until(page, "wattlane.stage.time >= 1", FIRST_FRAME_MS)
     for run in api(own.url, "/api/runs"):
         stop_run(own.url, run["run_id"])
     for _ in range(600):
@@ -65,14 +85,11 @@ def test_light_and_dark_are_kept(dashboard: Any, page: Page, recorded: str) -> N
     floor = page.evaluate("wattlane.stage.map.palette.aisle")
     page.get_by_role("button", name="Light or dark").click()
     expect(page.locator("html")).to_have_attribute("data-mantine-color-scheme", "dark")
-    page.wait_for_timeout(300)
-    assert page.evaluate("wattlane.stage.map.palette.aisle") != floor
+    until(page, f"wattlane.stage.map.palette.aisle !== '{floor}'")
     page.reload()
     expect(page.locator("html")).to_have_attribute("data-mantine-color-scheme", "dark")
     page.wait_for_selector("#map[data-frames]")
-    expect(page.locator("#soc-graph .xtick text").first).to_be_visible(timeout=15_000)
-    colour = page.evaluate("getComputedStyle(document.querySelector('#soc-graph .xtick text')).fill")
-    assert colour == "rgb(154, 167, 180)"
+    expect(page.locator("#soc-graph .xtick text").first).to_have_css("fill", "rgb(154, 167, 180)")
 
 
 @pytest.mark.parametrize("context", [{"color_scheme": "dark"}], indirect=True)
@@ -99,30 +116,57 @@ def test_the_keys_are_explained(dashboard: Any, page: Page, recorded: str) -> No
 @pytest.mark.parametrize("context", [PHONE], indirect=True)
 def test_on_a_phone_the_map_comes_first_and_nothing_sticks_out(dashboard: Any, page: Page, recorded: str) -> None:
     open_stage(page, f"{dashboard.url}/replay?run={recorded}&t=300")
-    page.wait_for_timeout(1500)
-    boxes = {name: page.locator(name).bounding_box() for name in (".wl-map", ".wl-transport", ".wl-right", ".wl-left")}
-    tops = [box["y"] for box in boxes.values() if box]
+    expect(page.locator(".wl-right h2")).to_have_text("Fleet")
+    parts = (".wl-map", ".wl-transport", ".wl-right", ".wl-left")
+    tops = [page.locator(name).bounding_box()["y"] for name in parts]  # type: ignore[index]
     assert tops == sorted(tops)
-    assert len(tops) == 4
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    x, y = page.evaluate("wattlane.stage.map.vehicleScreen(0)")
-    page.touchscreen.tap(x, boxes[".wl-map"]["y"] + y)  # type: ignore[index]
+    page.touchscreen.tap(*vehicle_at(page, 0)())
     expect(page.locator(".wl-right h2")).to_have_text("Vehicle 0")
     page.goto(f"{dashboard.url}/runs")
     expect(page.locator(".wl-catalogue")).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
+@pytest.mark.parametrize("context", [PHONE], indirect=True)
+def test_two_fingers_zoom_and_a_long_press_opens_the_menu(dashboard: Any, page: Page, recorded: str) -> None:
+    open_stage(page, f"{dashboard.url}/replay?run={recorded}&t=300")
+    expect(page.locator(".wl-right h2")).to_have_text("Fleet")
+    fingers = page.context.new_cdp_session(page)
+
+    def touch(kind: str, *points: tuple[float, float]) -> None:
+        at = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at})
+
+    box = page.locator(".wl-map-canvas").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    scale = page.evaluate("wattlane.stage.map.view.scale")
+    touch("touchStart", (x - 30, y), (x + 30, y))
+    for wide in (40, 50, 60):
+        touch("touchMove", (x - wide, y), (x + wide, y))
+    touch("touchEnd")
+    until(page, f"Math.abs(wattlane.stage.map.view.scale / {scale} - 2) < 0.1")
+    expect(page.get_by_role("menu")).to_have_count(0)
+    page.get_by_label("Fit the floor (R)").click()
+    touch("touchStart", vehicle_at(page, 0)())
+    expect(page.get_by_role("menuitem", name="Follow")).to_be_visible()
+    touch("touchEnd")
+
+
 @pytest.mark.parametrize("context", [{"reduced_motion": "reduce"}], indirect=True)
 def test_reduced_motion_draws_no_steps_in_between(dashboard: Any, page: Page, recorded: str) -> None:
     open_stage(page, f"{dashboard.url}/replay?run={recorded}&t=300")
+    page.evaluate("""() => {
+      const m = wattlane.stage.map, draw = m._drawFleet.bind(m);
+      window.drawn = [];
+      m._drawFleet = (...args) => { window.drawn.push(Array.from(m.nowX).join()); draw(...args); };
+    }""")
     page.fill("#time", "330")
     page.keyboard.press("Enter")
-    page.wait_for_timeout(600)
-    before = page.evaluate("wattlane.stage.map.stats.draws")
-    page.wait_for_timeout(700)
-    assert page.evaluate("wattlane.stage.map.stats.draws") - before <= 2
-    assert page.evaluate("wattlane.stage.map.nowX[0] === wattlane.stage.map.frame.x[0]")
+    until(page, "wattlane.stage.map.frame.time === 330 && !wattlane.stage.map.moving")
+    until(page, "window.drawn.at(-1) === Array.from(wattlane.stage.map.frame.x).join()")
+    assert page.evaluate("new Set(window.drawn).size") <= 2, "where they were, and where they are"
 
 
 def test_colours_have_contrast(dashboard: Any, page: Page) -> None:

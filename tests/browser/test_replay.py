@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.stage import api, at_time, chip, clock_s, note, open_stage, stop_run, tab
+from tests.browser.stage import FIRST_FRAME_MS, api, at_time, chip, note, open_stage, past_time, stop_run, tab, until
 from tests.synthetic import make_run
 
 pytestmark = pytest.mark.browser
@@ -23,12 +23,14 @@ def recorded(dashboard: Any) -> str:
 
 
 @pytest.fixture
-def replayed(dashboard: Any, page: Page, recorded: str) -> Page:
+def replayed(dashboard: Any, kept_page: Page, recorded: str) -> Page:
+    page = kept_page
     open_stage(page, f"{dashboard.url}/replay?run={recorded}")
     return page
 
 
-def test_the_catalogue_renames_and_deletes(dashboard: Any, page: Page, recorded: str) -> None:
+def test_the_catalogue_renames_and_deletes(dashboard: Any, kept_page: Page, recorded: str) -> None:
+    page = kept_page
     page.goto(f"{dashboard.url}/runs")
     row = page.locator("tr", has_text=recorded)
     expect(row).to_contain_text("00:30:00")
@@ -74,23 +76,21 @@ def test_it_plays_on_its_own_clock(replayed: Page) -> None:
     page = replayed
     page.locator("#speed").select_option("16")
     page.get_by_label("Play my view (Space)").click()
-    expect(page.locator(".wl-clock")).to_have_text(re.compile(r"00:00:[2-5]\d"), timeout=10_000)
-    moved = page.evaluate("Array.from(wattlane.stage.map.nowX)")
-    page.wait_for_timeout(1000)
-    assert page.evaluate("Array.from(wattlane.stage.map.nowX)") != moved
+    past_time(page, 20)
+    moved = page.evaluate("Array.from(wattlane.stage.map.nowX).join()")
+    until(page, f"Array.from(wattlane.stage.map.nowX).join() !== '{moved}'")
     page.get_by_label("Pause my view (Space)").click()
-    page.wait_for_timeout(300)
-    still = clock_s(page)
-    page.wait_for_timeout(600)
-    assert clock_s(page) == still
+    expect(page.get_by_label("Play my view (Space)")).to_be_visible()
+    still = page.evaluate("wattlane.stage.time")
+    page.wait_for_timeout(500)
+    assert page.evaluate("wattlane.stage.time") == still
 
 
 def test_the_map_shows_what_the_log_says(dashboard: Any, replayed: Page, recorded: str) -> None:
     page = replayed
     page.fill("#time", "777")
     page.keyboard.press("Enter")
-    while page.evaluate("wattlane.stage.map.frame.time") != 777 or page.evaluate("wattlane.stage.map.moving"):
-        page.wait_for_timeout(100)
+    until(page, "wattlane.stage.map.frame.time === 777 && !wattlane.stage.map.moving")
     fleet = api(dashboard.url, f"/api/runs/{recorded}/view?t=777&parts=fleet")["fleet"]
     for row in fleet:
         v = row["vehicle"]
@@ -107,9 +107,8 @@ def test_a_copied_link_opens_the_same_view(dashboard: Any, replayed: Page) -> No
     page.locator(".wl-map-canvas").focus()
     page.keyboard.press("g")
     page.keyboard.press("h")
-    page.wait_for_timeout(500)
+    until(page, "['t=500', 'sel=v2', 'tab=fleet'].every((word) => location.search.slice(1).split('&').includes(word))")
     link = page.url
-    assert {"t=500", "sel=v2", "tab=fleet"} <= set(link.split("?")[1].split("&"))
     page.goto("about:blank")
     open_stage(page, link)
     expect(page.locator(".wl-right h2")).to_have_text("Vehicle 2")
@@ -118,7 +117,7 @@ def test_a_copied_link_opens_the_same_view(dashboard: Any, replayed: Page) -> No
     assert layers["grid"] is True
     assert layers["heat"] == "occupancy"
     at_time(page, 500)
-    assert page.url == link
+    expect(page).to_have_url(link)
 
 
 def test_an_event_leads_to_its_time_and_place(replayed: Page) -> None:
@@ -126,10 +125,22 @@ def test_an_event_leads_to_its_time_and_place(replayed: Page) -> None:
     page.keyboard.press("End")
     tab(page, "Events")
     row = page.locator("#events-grid .ag-row").first
-    expect(row).to_be_visible(timeout=15_000)
-    when = row.locator("[col-id='time_s']").inner_text()
-    row.locator("[col-id='text'] button").click()
-    expect(page.locator(".wl-clock")).to_have_text(when)
+    when = row.locator("[col-id='time_s']")
+    expect(when).to_have_text(re.compile(r"\d\d:\d\d:\d\d"))
+    begun = when.inner_text()
+    row.locator("[col-id='text']").click()
+    expect(row).to_have_class(re.compile("ag-row-selected"))
+    at_time(page, 1800)
+    row.locator("[col-id='text']").dblclick()
+    expect(page.locator(".wl-clock")).to_have_text(begun)
+    page.locator(".wl-map-canvas").focus()
+    page.keyboard.press("End")
+    at_time(page, 1800)
+    row = page.locator("#events-grid .ag-row[row-index='2']")
+    begun = row.locator("[col-id='time_s']").inner_text()
+    row.locator("[col-id='text']").click()
+    page.keyboard.press("Enter")
+    expect(page.locator(".wl-clock")).to_have_text(begun)
     page.keyboard.press("Home")
     page.locator(".wl-map-canvas").focus()
     page.keyboard.press("Control+ArrowRight")
@@ -154,19 +165,41 @@ def test_downloads(replayed: Page, recorded: str) -> None:
         assert download.value.suggested_filename == f"{recorded}-{ending}"
 
 
-def test_a_fork_is_a_live_run_with_a_parent(dashboard: Any, page: Page) -> None:
+def test_a_fork_is_a_live_run_with_a_parent(dashboard: Any, kept_page: Page) -> None:
+    page = kept_page
     live = api(dashboard.url, "/api/runs", {"scenario": "soochow2022-continuous", "seed": 3, "speed": 64})["run_id"]
     open_stage(page, f"{dashboard.url}/operate?run={live}")
-    expect(page.locator(".wl-clock")).not_to_have_text(re.compile("00:00"), timeout=120_000)
+    past_time(page, 60)
     stop_run(dashboard.url, live)
     open_stage(page, f"{dashboard.url}/replay?run={live}&t=40")
     page.fill("#fork-seed", "99")
     page.get_by_role("button", name="Fork from here").click()
-    page.wait_for_url(re.compile(r"/operate\?run="), timeout=30_000)
+    page.wait_for_url(re.compile(r"/operate\?run="))
     expect(page.locator(".wl-left")).to_contain_text(f"{live} at tick 40")
     fork = re.search(r"run=([^&]+)", page.url)
     assert fork
-    page.wait_for_selector("#map[data-frames]", timeout=60_000)
-    expect(page.locator(".wl-clock")).to_have_text(re.compile(r"00:00:[4-5]\d|00:0[1-9]"), timeout=60_000)
-    chip(page, "LIVE", 60_000)
+    page.wait_for_selector("#map[data-frames]", timeout=FIRST_FRAME_MS)
+    past_time(page, 41)
+    chip(page, "LIVE")
     stop_run(dashboard.url, fork[1])
+
+
+def test_vehicles_are_coloured_by_what_is_chosen(dashboard: Any, replayed: Page, recorded: str) -> None:
+    page = replayed
+    page.fill("#time", "400")
+    page.keyboard.press("Enter")
+    until(page, "wattlane.stage.map.frame.time === 400")
+    page.get_by_label("Layers", exact=True).click()
+    colour, legend = page.get_by_label("Colour by"), page.locator(".wl-legend")
+    for choice, word in (("number", "and so on"), ("state of charge", "75 %"), ("task", "to deliver")):
+        colour.select_option(label=choice)
+        expect(legend).to_contain_text(word)
+    fleet = api(dashboard.url, f"/api/runs/{recorded}/view?t=400&parts=fleet")["fleet"]
+    for row in fleet:
+        said = page.evaluate("(id) => wattlane.stage.map.describe({ kind: 'vehicle', id })", row["vehicle"])
+        assert row["task"] in said
+    colour.select_option(label="energy rate")
+    expect(legend).to_contain_text(re.compile(r"\d+ W"))
+    power = api(dashboard.url, f"/api/runs/{recorded}/power?t=400")["values"]
+    assert page.evaluate("wattlane.stage.map.power") == power
+    assert "by-power" in page.url

@@ -26,8 +26,12 @@ def show(page: Page, body: str) -> None:
 def test_complaints_are_seen(context: BrowserContext, page: Page, watch, body: str, complaint: str) -> None:
     context.route("**/*", lambda route: route.abort())
     show(page, body)
-    page.wait_for_timeout(300)
-    assert any(text.startswith(complaint) for text in watch.verdict()), watch.verdict()
+    for _ in range(100):
+        if any(text.startswith(complaint) for text in watch.verdict()):
+            break
+        page.wait_for_timeout(100)
+    else:
+        pytest.fail(f"{complaint} was not seen, but {watch.verdict()}")
     watch.allow(".*")
 
 

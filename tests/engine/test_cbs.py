@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from engine.planners.cbs import CBS
+from engine.planners.constraint_tree import paths_of
+from engine.planners.ecbs import ECBS
 from engine.planners.oneshot import Limits
 from engine.types import PlanStatus
 from engine.world.grid import GridMotion
@@ -181,3 +183,46 @@ def test_the_tree_is_recorded_when_asked() -> None:
             assert tree["positive"].any()
             return
     pytest.fail("no tree grew")
+
+
+def test_the_trace_holds_every_nodes_plan_and_conflict() -> None:
+    rng = np.random.default_rng(2)
+    answers = 0
+    for solver in (CBS(tries=0), replace(PLAIN, bypass=True), ECBS(tries=0)):
+        for _ in range(10):
+            problem = random_problem(rng, 5, 4, 4, 0.0)
+            found = solver.solve(problem, Limits(nodes=60), trace=True)
+            tree = found.trace["tree"]
+            for node in tree["node"].tolist():
+                paths = paths_of(found.trace, node)
+                assert [int(path[0]) for path in paths] == problem.graph.state_place[problem.starts].tolist()
+                tick = tree["conflict_tick"][node]
+                assert (tree["turn"][node] >= 0) == (tree["status"][node] == 1) or tree["status"][node] == 3
+                if tick < 0:
+                    continue
+                a, b = (paths[tree[name][node]] for name in ("a", "b"))
+                at, at2 = tree["at"][node], tree["at2"][node]
+                where = [(int(p[min(tick, len(p) - 1)]), int(p[min(tick + 1, len(p) - 1)])) for p in (a, b)]
+                assert where == [(at, at2), (at2, at)] if at2 >= 0 else where[0][0] == where[1][0] == at
+            answer = tree["node"][tree["status"] == 3]
+            if len(answer):
+                answers += 1
+                ways = [problem.graph.state_place[states].tolist() for states in found.states]
+                assert [path.tolist() for path in paths_of(found.trace, int(answer[0]))] == ways
+    assert answers > 10
+
+
+@pytest.mark.nojit_slice
+@pytest.mark.filterwarnings("ignore:overflow encountered")  # hashing wraps, in plain Python with a warning
+def test_plain_python_finds_the_same() -> None:
+    rng = np.random.default_rng(37)
+    solved = 0
+    for _ in range(10):
+        problem = random_problem(rng, int(rng.integers(2, 4)), 3, 3, 0.1)
+        for solver, energy in ((CBS(), False), (replace(PLAIN, cover=2), False), (ECBS(), True)):
+            found = solver.solve(problem, Limits(nodes=8))
+            if found.status == PlanStatus.SOLVED:
+                solved += 1
+                assert found.cost == joint_optimum(problem, energy)
+                check_plan(problem, found, energy)
+    assert solved > 20

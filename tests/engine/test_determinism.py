@@ -29,6 +29,10 @@ VARIANTS: dict[str, dict[str, object]] = {
     "trouble, eight directions": {**TROUBLE, "floor.connectivity": 8},
     "energy": {"planner.objective": "energy"},
     "timed routes": {**TROUBLE, "planner.name": "quickest"},
+    "routes of A*": {**TROUBLE, "planner.name": "astar", "planner.parameters.tie": "lifo"},
+    "routes of A*, eight directions": {"planner.name": "astar", "floor.connectivity": 8},
+    "routes of EEA*": {**TROUBLE, "planner.name": "eea"},
+    "routes of EEA* as printed": {"planner.name": "eea", "planner.parameters.variant": "literal-cell-time"},
     "few chargers for many": {"fleet.count": 15, "battery.initial_soc": [0.3, 0.5]},
 }
 
@@ -120,7 +124,9 @@ def test_the_digest_knows_neither_steps_nor_flushes_nor_recorders():
     assert other.digest() != whole.digest()
 
 
-@pytest.mark.parametrize("name", ["trouble", "trouble, margin", "trouble, pivot of two ticks", "timed routes"])
+@pytest.mark.parametrize(
+    "name", ["trouble", "trouble, margin", "trouble, pivot of two ticks", "timed routes", "routes of EEA*"]
+)
 def test_resuming_and_replaying_end_as_the_uninterrupted_run(name, tmp_path: Path):
     asked = scenario(VARIANTS[name])
     sim = build(asked)

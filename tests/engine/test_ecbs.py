@@ -9,11 +9,23 @@ import pytest
 
 from engine.planners.ecbs import ECBS
 from engine.planners.oneshot import Limits
+from engine.planners.problems import problem_of
+from engine.planners.time_window import TimeWindow
+from engine.scenario.movingai import Instance, corner_instance, random_instance
 from engine.types import PlanStatus
 from tests.naive_mapf import check_plan, joint_optimum, random_problem
 
-PLAIN = ECBS(disjoint=False, cardinal=False, bypass=False, target=False, tries=0)
+PLAIN = ECBS(disjoint=False, cardinal=False, bypass=False, target=False, pairs=False, tries=0)
 FEW = Limits(nodes=300)
+# 20 × 20 cells row by row, five hexadecimal digits each, 1 where blocked; on each, an earlier version called a plan
+# optimal although time windows found a cheaper one: after a landmark, a motion may have cost more than its tick
+HARD_MAPS = (
+    "240080000049a0000811000a04004000094800201000000002000890000000005000000060000101b0004003100100000008",
+    "2f9ee3961001087009ce36f000400606204c0310440204e24140041453c841a0020544a20150984929aa048048445aa32462",
+    "1046215888052064801128105a26e011a8968042d1043800244ee6020c8cc932f40d89271202439108402262130c41003068",
+    "1a000130283e67164a42009388468104a08154886a506a3584a0a0301400600064b9b0820042c29d810010a64e7c6d004c00",
+    "0c67c00080004a012401129440102423408244322a000100010c0823300008b000600044810418004200238105304a220100",
+)
 VARIANTS = {
     "plain": PLAIN,
     "default": ECBS(),
@@ -23,6 +35,8 @@ VARIANTS = {
     "target": replace(PLAIN, target=True),
     "disjoint and target": replace(PLAIN, disjoint=True, target=True),
     "first plan": replace(PLAIN, tries=4),
+    "pairs": replace(PLAIN, pairs=True),
+    "all but pairs": ECBS(pairs=False),
     "other weights": ECBS(weights=(0.0, 1.0, 0.0)),
 }
 
@@ -111,3 +125,48 @@ def test_the_lower_priority_is_constrained_first() -> None:
         assert (tree["tree"]["dp_low"][chosen] <= tree["tree"]["dp_high"][chosen]).all()
         assert (tree["tree"]["energy"] == tree["tree"]["cost"]).all()
     assert seen > 20
+
+
+def corners(free: np.ndarray) -> Instance:
+    last = len(free) - 1
+    return Instance(
+        "corners", free, ((0, last), (last, 0), (0, 0), (last, last)), ((last, 0), (0, last), (last, last), (0, 0))
+    )
+
+
+@pytest.mark.parametrize("bits", HARD_MAPS)
+def test_no_plan_called_optimal_can_be_beaten(bits: str) -> None:
+    rows = [f"{int(bits[i : i + 5], 16):020b}" for i in range(0, 100, 5)]
+    free = np.array([[letter == "0" for letter in row] for row in rows[::-1]])
+    problem = problem_of(corners(free), masses_kg=(2000.0, 2200.0, 2350.0, 2500.0))
+    found, windows = ECBS().solve(problem, Limits()), TimeWindow().solve(problem, Limits())
+    assert found.status == PlanStatus.SOLVED
+    assert found.lower_bound == found.cost <= windows.cost
+    check_plan(problem, found, energy=True)
+
+
+def test_many_vehicles_are_bounded_by_groups_of_pairs() -> None:
+    """Bounds of many vehicles: no bound of the default may lie above what the tree without pairs proves."""
+    rng = np.random.default_rng(29)
+    for _ in range(6):
+        problem = problem_of(random_instance(rng, 12, 12, 0.1, 14))
+        found, plain = ECBS().solve(problem, Limits(nodes=100)), ECBS(pairs=False).solve(problem, Limits(nodes=100))
+        for one, other in ((found, plain), (plain, found)):
+            if other.states:
+                assert one.lower_bound <= other.cost
+        if found.states:
+            check_plan(problem, found, energy=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("density", [0.1, 0.2, 0.3])
+def test_never_worse_than_time_windows(density: float) -> None:
+    rng = np.random.default_rng(31)
+    for number in range(40):
+        instance = corner_instance(rng, 20, density) if number < 20 else random_instance(rng, 20, 20, density, 12)
+        problem = problem_of(instance, masses_kg=(2000.0, 2200.0, 2350.0, 2500.0))
+        found, windows = ECBS().solve(problem, Limits(nodes=2_000)), TimeWindow().solve(problem, Limits())
+        if windows.states:
+            assert found.states
+            assert found.cost <= windows.cost
+            check_plan(problem, found, energy=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -16,8 +17,9 @@ from engine.results.runlog import MemoryLog
 from engine.results.schema import TABLES
 from engine.scenario import Scenario, parse
 from engine.sim.judge import Breach, BreachKind, judge, judge_plan
+from engine.sim.judge.commands import arrivals_bound
 from engine.sim.judge.energy import costs, standby_mj
-from engine.types import FOREVER, NONE, PRIMITIVE_0, Activity, Component, Occupancy, OrderState
+from engine.types import FOREVER, NONE, PRIMITIVE_0, Activity, Component, Occupancy, OrderState, Task
 from engine.world.floor import FloorPlan, World, build_world
 from engine.world.grid import GridMotion
 from tests import synthetic
@@ -242,6 +244,75 @@ def order_ignored(log: Changed, pick: int, amount: int) -> None:
     given_command(log, 1000 + amount, **{"do": "order", "from": 1, "to": 2})
 
 
+def rate_ignored(log: Changed, pick: int, amount: int) -> None:
+    o = log["orders"]
+    arrivals = [i for i in rows_where(o, lambda t: t["state"] == OrderState.OPEN) if o["source"][i] == 0]
+    given_command(log, int(o["tick"][arrivals[pick % (len(arrivals) - 1)]]), do="rate", per_h=0.0)
+
+
+def a_flood_ignored(log: Changed, pick: int, amount: int) -> None:
+    given_command(log, pick % 1000, do="rate", per_h=100_000.0)
+
+
+def after_all_commands(log: Changed, tick: np.ndarray) -> np.ndarray:
+    return tick > int(log["commands"]["tick"].max())
+
+
+def low_is_ignored(log: Changed, pick: int, amount: int) -> None:
+    o = log["orders"]
+    rows = rows_where(o, lambda t: (t["state"] == OrderState.ASSIGNED) & after_all_commands(log, t["tick"]))
+    i = rows[pick % len(rows)]
+    v, tick = int(o["vehicle"][i]), int(o["tick"][i])
+    b, m = log["battery"], log["motions"]
+    sample = rows_where(b, lambda t: (t["vehicle"] == v) & (t["tick"] <= tick))[-1]
+    since = int(b["tick"][sample])
+    charges = (m["vehicle"] == v) & (m["kind"] == Activity.CHARGE) & (m["t1"] > since) & (m["t0"] <= tick)
+    assume(not charges.any() and b["charge_mc"][sample] < 0.99 * b["charge_mc"].max())
+    given_command(log, since - 1, do="thresholds", good=0.999, sufficient=1.0)
+
+
+def full_is_ignored(log: Changed, pick: int, amount: int) -> None:
+    given_command(log, 701 + amount, do="thresholds", good=0.1, sufficient=0.2, full=0.3)
+
+
+def topping_up_ignored(log: Changed, pick: int, amount: int) -> None:
+    # whoever charges is said to rest: from some tick on, for longer than between two samples
+    m, world = log["motions"], recorded()[2]
+    given_command(log, 720, do="thresholds", full=1.0)
+    rows = rows_where(m, lambda t: (t["kind"] == Activity.CHARGE) & (t["t0"] > 720) & (t["t1"] - t["t0"] > 20))
+    assert set(m["to_place"][rows].tolist()) <= set(world.chargers.tolist())
+    m["kind"][rows] = Activity.REST
+
+
+def charge_ignored(log: Changed, pick: int, amount: int) -> None:
+    o, m = log["orders"], log["motions"]
+    rows = rows_where(o, lambda t: (t["state"] == OrderState.ASSIGNED) & after_all_commands(log, t["tick"]))
+    i = rows[pick % len(rows)]
+    v, since = int(o["vehicle"][i]), int(o["tick"][i]) - 1
+    charging = (m["vehicle"] == v) & (m["kind"] == Activity.CHARGE) & (m["t1"] > since) & (m["t0"] <= since + 1)
+    assume(not charging.any())
+    given_command(log, since, do="charge", vehicle=v)
+
+
+def send_ignored(log: Changed, pick: int, amount: int) -> None:
+    given_command(log, 701 + amount, do="send", vehicle=pick % 5, place=pick % 60)
+
+
+def sent_elsewhere(log: Changed, pick: int, amount: int) -> None:
+    p = log["plans"]
+    values, offsets = p["places"]
+    values = values.copy()
+    rows = [i for i in np.nonzero(after_all_commands(log, p["tick"]))[0].tolist() if offsets[i + 1] > offsets[i]]
+    follow = {i: [j for j in rows if j > i and p["vehicle"][j] == p["vehicle"][i]] for i in rows}
+    rows = [i for i in rows if follow[i]]
+    i = rows[pick % len(rows)]
+    p["task"][i] = Task.SENT
+    v, place = int(p["vehicle"][i]), int(values[offsets[i + 1] - 1])
+    values[offsets[follow[i][0]]] = (place + amount) % 60
+    p["places"] = (values, offsets)
+    given_command(log, int(p["tick"][i]), do="send", vehicle=v, place=place)
+
+
 CHANGES: list[tuple[Callable[[Changed, int, int], None], BreachKind]] = [
     (a_gap, BreachKind.CONTINUITY),
     (an_overlap, BreachKind.CONTINUITY),
@@ -264,6 +335,13 @@ CHANGES: list[tuple[Callable[[Changed, int, int], None], BreachKind]] = [
     (withdrawal_ignored, BreachKind.COMMAND),
     (block_ignored, BreachKind.COMMAND),
     (order_ignored, BreachKind.COMMAND),
+    (rate_ignored, BreachKind.COMMAND),
+    (a_flood_ignored, BreachKind.COMMAND),
+    (low_is_ignored, BreachKind.COMMAND),
+    (full_is_ignored, BreachKind.COMMAND),
+    (charge_ignored, BreachKind.COMMAND),
+    (send_ignored, BreachKind.COMMAND),
+    (sent_elsewhere, BreachKind.COMMAND),
 ]
 
 
@@ -280,9 +358,30 @@ def test_a_change_is_named_as_what_it_is(
     assert found, "the change was not noticed"
     if change is outside:  # how long a vehicle that left the floor is anywhere is no question any more
         assert str(kind) in kinds(found)
+    elif change is picked_by_another:  # who may also have been too low for it
+        assert {str(kind)} <= kinds(found) <= {str(kind), "command"}
     else:
         assert kinds(found) == {str(kind)}
     assert all(b.text and "\n" not in b.text for b in found)
+
+
+def test_who_rests_at_a_charger_when_it_should_top_up_is_named() -> None:
+    base, scenario, world = recorded()
+    log = Changed(base)
+    topping_up_ignored(log, 0, 0)
+    found = judge(log, scenario, world)
+    assert {str(BreachKind.COMMAND)} <= kinds(found) <= {str(BreachKind.COMMAND), str(BreachKind.ENERGY)}
+    assert any("it charges below" in b.text for b in found)
+
+
+def test_numbers_of_arrivals() -> None:
+    for n, mean in ((0, 3.0), (5, 5.0), (9, 4.0), (2, 9.0), (40, 20.0)):
+        side = range(n, 200) if n >= mean else range(n + 1)
+        exact = sum(np.exp(k * np.log(mean) - mean - math.lgamma(k + 1)) for k in side)
+        assert exact <= arrivals_bound(n, mean) <= 1.0
+    assert arrivals_bound(0, 100.0) < 1e-40
+    assert arrivals_bound(300, 100.0) < 1e-40
+    assert arrivals_bound(1, 0.0) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -302,7 +401,9 @@ def test_a_change_is_named_as_what_it_is(
 def test_a_run_is_judged_by_its_scenario(section: str, changes: dict[str, Any], kind: BreachKind) -> None:
     log, scenario, world = recorded()
     other = scenario.model_copy(update={section: getattr(scenario, section).model_copy(update=changes)})
-    assert kinds(judge(log, other, world)) == {str(kind)}
+    # another capacity is also another level below which nobody takes orders
+    assert str(kind) in (found := kinds(judge(log, other, world)))
+    assert found <= {str(kind), "command"} if section == "battery" else found == {str(kind)}
 
 
 def test_a_run_is_judged_by_its_world() -> None:
@@ -336,13 +437,14 @@ def test_the_energy_of_the_papers_defaults() -> None:
     scenario = parse(synthetic.scenario_toml(straight=1, turn=1, reverse=1))
     scenario = scenario.model_copy(update={"fleet": scenario.fleet.model_copy(update={"mass_kg": 1000.0})})
     world = build_world(scenario)
-    table = costs(scenario, world.graph)
-    assert table is not None
+    of_masses = costs(scenario, world.graph)
+    assert of_masses is not None
+    table = of_masses[0]
     standby = standby_mj(scenario) / 1000
     total = {p.name: table[k, 0].sum() / 1000 + standby for k, p in enumerate(world.graph.primitives)}
     assert standby == 30.0
     assert total["straight"] == pytest.approx(128.1, abs=0.01)
-    assert total["turn"] == pytest.approx(338.4, abs=0.1)  # an arc of 785 mm
+    assert total["turn"] == pytest.approx(98.1 * np.pi / 4 + 0.5 * 187.5 * (np.pi / 2) ** 2 + 30, abs=1e-3)
     assert total["start straight"] == pytest.approx(628.1, abs=0.01)
     turn = 0.5 * 187.5 * (np.pi / 2) ** 2
     assert total["start reverse"] == pytest.approx(628.1 + 2 * turn, abs=0.01)
@@ -370,8 +472,9 @@ def open_scenario(vehicles: int) -> Scenario:
 def drive(world: World, log: MemoryLog, paths: list[tuple[int, list[tuple[int, int]]]]) -> MemoryLog:
     """Each vehicle waits until its tick, then drives over its cells without a stop, then rests; energies are right."""
     g = world.graph
-    table = costs(open_scenario(len(paths)), g)
-    assert table is not None
+    of_masses = costs(open_scenario(len(paths)), g)
+    assert of_masses is not None
+    table = of_masses[0]
     rows: list[tuple[int, ...]] = []
     frames: list[tuple[int, ...]] = []
     end = 1 + max(start + sum(10 for _ in cells) for start, cells in paths)

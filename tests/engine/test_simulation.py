@@ -13,10 +13,10 @@ from engine.build import build, resume
 from engine.errors import ScenarioError
 from engine.results.runlog import MemoryLog
 from engine.scenario import Scenario, parse
-from engine.sim import kernels
+from engine.sim import kernels, planning
 from engine.sim.judge import judge
 from engine.traffic import FAR
-from engine.types import Activity, OrderState
+from engine.types import Activity, Cause, OrderState
 from tests import naive
 from tests.strategies import HALL, LOOP, scenario_text
 
@@ -174,6 +174,58 @@ def test_without_faults_every_order_is_done_and_nobody_strands(seed: int) -> Non
     nobody_met(sim, log)
 
 
+def congested(seed: int) -> Scenario:
+    """Too many orders for too few lanes, and batteries of half an hour: plans wait long, and waiting burns standby."""
+    rng = random.Random(seed)
+    rows, count = rng.choice([(NARROW, 5), (NARROW, 5), (OPEN, 4)])
+    names = ("straight_ticks", "turn_ticks", "reverse_ticks", "diagonal_ticks")
+    motion = f'turning = "{rng.choice(["arc", "pivot"])}"\n' + "\n".join(f"{n} = {rng.randint(1, 3)}" for n in names)
+    planner = f'name = "{rng.choice(["prioritized", "quickest"])}"\nobjective = "{rng.choice(["time", "energy"])}"'
+    return parse(
+        scenario_text(
+            rows, count, seed=seed, floor=f"margin_ticks = {rng.choice([0, 1, 3])}", motion=motion, planner=planner,
+            fleet="payload_kg = 500.0", battery="capacity_wh = 20.0\ninitial_soc = [0.35, 1.0]",
+            orders=f'source = "poisson"\nrate_per_h = {rng.choice([200, 500, 1000])}\n{ANY}',
+        )
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [*range(300, 312), 332])
+def test_nobody_strands_in_heavy_congestion(seed: int) -> None:
+    sim = build(congested(seed))
+    lowest = 1.0
+    while sim.tick < 3000:
+        sim.advance(50)
+        lowest = min(lowest, float((sim.fleet.charge / sim.parts.battery.capacity_mc).min()))
+    assert sim.metrics()["stranded"] == 0
+    # the reserve is left over but for the way to a charger
+    assert lowest > 0.02
+    assert sim.metrics()["orders_done"] > 50
+
+
+def test_a_plan_beyond_the_charge_is_refused_and_the_vehicle_charges_first() -> None:
+    # an estimate that is too low makes the dispatcher choose the vehicle; the plan itself tells
+    text = scenario_text(
+        NARROW, 2, fleet='start = "parking"', battery="capacity_wh = 4.0\ninitial_soc = 0.42",
+        orders=f'source = "poisson"\nrate_per_h = 0\n{ANY}', charging="good = 0.2\nsufficient = 0.6",
+    )  # fmt: skip
+    log = MemoryLog()
+    sim = build(parse(text), recorder=log)
+    object.__setattr__(sim.parts.dispatcher, "need", lambda view, v, a, b: 0)
+    sim.advance(1)
+    sim.submit({"do": "order", "from": 1, "to": 4})
+    assert not sim.book.state.count(OrderState.ASSIGNED)
+    assert sim.must_charge.any()
+    sim.flush()
+    assert "too little charge" in log.table("plans")["status"].tolist()
+    waits = [e["text"] for e in naive.rows_of(log.table("events")) if e["kind"] == "order waits"]
+    assert any("too little charge for the way that is free" in text for text in waits)
+    sim.advance(900)
+    assert sim.metrics()["orders_done"] == 1
+    assert sim.metrics()["stranded"] == 0
+    nobody_met(sim, log)
+
+
 @pytest.mark.parametrize("seed", range(200, 220))
 def test_cuts_flushes_recorders_and_checkpoints_leave_no_trace(seed: int, tmp_path: Path) -> None:
     asked = random_scenario(seed, faults=True)
@@ -250,6 +302,56 @@ def test_who_stood_behind_a_stuck_vehicle_comes_back() -> None:
     assert finished(sim)
     planned = [sim.steps.start[v, sim.fleet.step[v]] for v in range(sim.n) if sim.fleet.step[v] < sim.fleet.steps[v]]
     assert all(start < FAR for start in planned)
+
+
+def test_who_waits_behind_one_that_never_leaves_says_for_whom_and_is_seen() -> None:
+    for seed in range(2):
+        log = MemoryLog()
+        text = scenario_text(NARROW, 6, seed=seed, orders=f'source = "poisson"\nrate_per_h = 700\n{ANY}')
+        sim = build(parse(text), recorder=log)
+        ahead = None
+        while ahead is None:
+            sim.advance(1)
+            going = [v for v in range(sim.n) if sim.fleet.step[v] < sim.fleet.steps[v]]
+            ahead = next((v for v in going if planning.behind(sim, v)), None)
+        # it gives its plan up and is forgotten: nobody plans it again
+        planning.drop_plan(sim, ahead)
+        sim.needs_plan.clear()
+        planning.retime(sim)
+        behind = {v for v in range(sim.n) if (sim.steps.start[v, sim.fleet.step[v] : sim.fleet.steps[v]] >= FAR).any()}
+        since = sim.tick
+        assert behind
+        sim.advance(120)
+        waits = [r for r in so_far(sim, log) if r["kind"] == Activity.WAIT and r["t1"] - r["t0"] > 25]
+        assert any(r["vehicle"] in behind and r["cause"] == Cause.VEHICLE and r["blocker"] == ahead for r in waits)
+        assert not any(r["vehicle"] in behind and r["cause"] == Cause.PLANNED and r["t0"] >= since for r in waits)
+        events = naive.rows_of(log.table("events"))
+        stalled = [e for e in events if e["kind"] == "stalled" and e["tick"] > since]
+        assert any(e["vehicle"] in behind and f"{ahead}" in e["text"] for e in stalled)
+        nobody_met(sim, log)
+
+
+@pytest.mark.parametrize("rule", ["mapf", "hold"])
+def test_a_block_on_a_corner_stops_a_diagonal_already_planned(rule: str) -> None:
+    stopped = 0
+    for seed in range(4):
+        log = MemoryLog()
+        text = scenario_text(
+            WIDE, 6, seed=seed, floor=f'occupancy = "{rule}"\nconnectivity = 8',
+            orders=f'source = "poisson"\nrate_per_h = 1500\n{ANY}',
+        )  # fmt: skip
+        sim = build(parse(text), recorder=log)
+        g, f = sim.graph, sim.fleet
+        sim.advance(30)
+        for v in range(sim.n):
+            ahead = sim.steps.edge[v, f.step[v] : f.steps[v]]
+            corners = [c for e in ahead[ahead >= 0] for c in g.sweep[g.sweep_ptr[e] : g.sweep_ptr[e + 1]].tolist()]
+            if corners and sim.submit({"do": "block", "place": corners[-1]}).accepted:
+                stopped += 1
+        sim.advance(60)
+        sim.check()
+        nobody_met(sim, log)
+    assert stopped > 3
 
 
 def test_a_parked_vehicle_that_falls_low_goes_charging() -> None:

@@ -24,7 +24,9 @@ from engine.planners.kernels.cbs_low import (
     HARD,
     LAST,
     NONE,
+    ROOM,
     TIES,
+    Bans,
     Layers,
     Roads,
     Work,
@@ -36,7 +38,7 @@ from engine.planners.kernels.cbs_low import (
     clear_others,
     close_place,
     finish_constraints,
-    forbid_move,
+    forbid,
     forbid_place,
     mark_single,
     search,
@@ -53,22 +55,37 @@ ROOT, NOT_AT, NOT_OVER, AT, OVER, LATER, BY_THEN = range(7)
 """Constraints: not at a place at a tick · not over a motion · at it · over it (both forbid it to all others) · arrive
 for good later than a tick · by then (all others stay off that goal from then on)."""
 
-OPEN, CHOSEN, PRUNED = 0, 1, 2
-"""What became of a node."""
+OPEN, CHOSEN, PRUNED, ANSWER = 0, 1, 2, 3
+"""What became of a node: waits · expanded · no better than the best plan · its plan is the answer."""
 
 DONE, MORE, GROW, EMPTY = 0, 1, 2, 3
 """How a run of the loop ended: plan found or bound met · chunk of work over · room needed · nothing left."""
 
-DISJOINT, CARDINAL, BYPASS, COVER, TARGET, BRANCH, W_MILLION, TRIES = range(8)
-"""Slots of the options: switches; COVER 0 none, 1 CG, 2 DG, 3 WDG; w in millionths; prioritized orders to try."""
+DISJOINT, CARDINAL, BYPASS, COVER, TARGET, BRANCH, W_MILLION, TRIES, PAIRED = range(9)
+"""Slots of the options: switches (PAIRED: bounds by pairs); COVER 0 none, 1 CG, 2 DG, 3 WDG; w in millionths;
+prioritized orders to try."""
 
 (
     NODES, RECS, ARENA, BEST, BEST_COST, HEAP, FOCAL, WAITING, HIGH, LOW, BOUND, STAGE, LONGEST, PAIRS, PAIR_STAMP,
-    TRIED,
-) = range(16)  # fmt: skip
+    TRIED, TURNS, BEST_NODE,
+) = range(18)  # fmt: skip
 """Slots of Tree.num: counts, incumbent (1: there is one) and its cost, heap sizes, expansions, proven bound …"""
 
+(PARENT, AGENT, KIND, PLACE, PLACE2, TICK, KNOWS, CLASHES, STATUS, TURN, CONFLICT) = range(11)
+"""Columns of Tree.node: node above · the constraint it adds · 1 when its h is from its own conflicts · conflicts · what
+became of it, and in which turn · five of the conflict resolved: vehicles a and b, place, place2, tick."""
+COST, PROVEN, H = range(3)
+"""Columns of Tree.worth: of its plan, proven for its plan, least that its conflicts still add."""
+FIRST, LENGTH, PRICE, LEAST, MADE_AT, OWNER, SEEN = range(7)
+"""Columns of Tree.way: first state in the arena, ticks, cost, least cost at that node, node, vehicle, 1 when `single`
+is known."""
+OPEN_LIST, FOCAL_LIST, WAIT_LIST = range(3)
+
 NEVER = np.int64(2**62)
+MANY = np.int64(2**60)
+"""No limit within one search: it is finite."""
+MATCHED = 10
+"""Vehicles that an exact matching takes in; among more it is greedy."""
 
 
 class Case(NamedTuple):
@@ -81,43 +98,23 @@ class Case(NamedTuple):
     mass: F64
     weights: F64  # (3,) of eq. 14
     orders: I32
+    pair: I64  # (n, n) least that two vehicles cost together, 0 where unknown
 
 
 class Tree(NamedTuple):
     """Nodes of the constraint tree, ways of single vehicles (records), heaps."""
 
-    parent: I32  # nodes
-    agent: I32
-    kind: I8
-    place: I32
-    place2: I32
-    tick: I32
-    cost: I64
-    low: I64
-    h: I64
-    knows: I8
-    conflicts: I32
-    status: I8
-    dp_low: F64
-    dp_high: F64
-    rec: I32  # (N, n)
-    rec_first: I64  # records
-    rec_len: I32
-    rec_cost: I64
-    rec_min: I64
-    rec_node: I32
-    rec_agent: I32
-    rec_wide: I8
-    states: I32  # arena
-    single: I8
+    node: I32  # (N, 15)
+    worth: I64  # (N, 3)
+    priority: F64  # (N, 2) of a and b, eq. 14
+    rec: I32  # (N, n) record of each vehicle
+    way: I64  # (R, 7)
+    states: I32  # arena of all records
+    single: I8  # 1 where all cheapest ways of the record's vehicle are at one place
     best: I32  # (n,) records of the incumbent
-    open_key: I64
-    open_item: I32
-    focal_key: I64
-    focal_item: I32
-    wait_key: I64
-    wait_item: I32
-    pair_key: I64
+    key: I64  # (3, ·) heaps: open, focal, waiting for the bound
+    item: I32
+    pair_key: I64  # what two records must pay to avoid each other
     pair_value: I64
     pair_stamp: I32
     num: I64
@@ -145,11 +142,13 @@ class Desk(NamedTuple):
     joint_stamp: I32
     joint_stack: I64
     joint_clock: I64
+    matched: I64  # (2**MATCHED,)
+    cut: I64  # (2, 5) constraints of the two children
 
 
 @njit(cache=True, nogil=True)
 def _place_at(r: Roads, t: Tree, rec: int, tick: int) -> int:
-    return r.place[t.states[t.rec_first[rec] + min(tick, t.rec_len[rec])]]
+    return r.place[t.states[t.way[rec, FIRST] + min(tick, t.way[rec, LENGTH])]]
 
 
 @njit(cache=True, nogil=True)
@@ -161,57 +160,57 @@ def _least_at(r: Roads, h: I64, place: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def load_constraints(r: Roads, w: Work, c: Case, t: Tree, node: int, agent: int) -> bool:
-    """Load what a node demands of a vehicle into the workspace. False when it contradicts itself."""
-    clear_constraints(w)
+def load_constraints(r: Roads, k: Bans, c: Case, t: Tree, node: int, agent: int) -> bool:
+    """Load what a node demands of a vehicle into the constraints. False when it contradicts itself."""
+    clear_constraints(k)
     goal = c.goal[agent]
     wait = r.wait[c.cls[agent]]
     ok = True
     while node > 0:
-        kind, who = np.int64(t.kind[node]), np.int64(t.agent[node])
-        p, q, tick = np.int64(t.place[node]), np.int64(t.place2[node]), np.int64(t.tick[node])
+        kind, who = np.int64(t.node[node, KIND]), np.int64(t.node[node, AGENT])
+        p, q, tick = np.int64(t.node[node, PLACE]), np.int64(t.node[node, PLACE2]), np.int64(t.node[node, TICK])
         if who == agent:
             if kind == NOT_AT:
-                forbid_place(r, w, p, tick, goal)
+                forbid_place(k, p, tick, goal)
             elif kind == NOT_OVER:
-                forbid_move(r, w, p, q, tick)
+                forbid(k, q, p, tick + 1)
             elif kind == AT:
-                ok &= add_landmark(w, p, tick, goal, _least_at(r, c.h[agent], p), wait)
+                ok &= add_landmark(k, p, tick, goal, _least_at(r, c.h[agent], p), wait)
             elif kind == OVER:
-                ok &= add_landmark(w, p, tick, goal, _least_at(r, c.h[agent], p), wait)
-                ok &= add_landmark(w, q, tick + 1, goal, _least_at(r, c.h[agent], q), wait)
+                ok &= add_landmark(k, p, tick, goal, _least_at(r, c.h[agent], p), wait)
+                ok &= add_landmark(k, q, tick + 1, goal, _least_at(r, c.h[agent], q), wait)
                 # over the motion means not resting before it
-                w.con[FREE_FROM] = max(w.con[FREE_FROM], tick + 1)
+                k.con[FREE_FROM] = max(k.con[FREE_FROM], tick + 1)
             elif kind == LATER:
-                w.con[FREE_FROM] = max(w.con[FREE_FROM], tick + 1)
+                k.con[FREE_FROM] = max(k.con[FREE_FROM], tick + 1)
             elif kind == BY_THEN:
-                w.con[BY] = min(w.con[BY], tick)
-                w.con[LAST] = max(w.con[LAST], tick)
+                k.con[BY] = min(k.con[BY], tick)
+                k.con[LAST] = max(k.con[LAST], tick)
         elif kind == AT:
-            forbid_place(r, w, p, tick, goal)
+            forbid_place(k, p, tick, goal)
         elif kind == OVER:
-            forbid_place(r, w, p, tick, goal)
-            forbid_place(r, w, q, tick + 1, goal)
-            forbid_move(r, w, q, p, tick)
+            forbid_place(k, p, tick, goal)
+            forbid_place(k, q, tick + 1, goal)
+            forbid(k, p, q, tick + 1)
         elif kind == BY_THEN:
             if c.goal[who] == goal:
                 ok = False
-            close_place(w, c.goal[who], tick)
-        node = np.int64(t.parent[node])  # type: ignore[assignment]
-    finish_constraints(w)
+            close_place(k, c.goal[who], tick)
+        node = np.int64(t.node[node, PARENT])  # type: ignore[assignment]
+    finish_constraints(k)
     return ok
 
 
 @njit(cache=True, nogil=True)
-def _keep_way(t: Tree, w: Work, agent: int, node: int, out: I64, least: int) -> int:
+def _keep_way(t: Tree, path: I32, agent: int, node: int, out: I64, least: int) -> int:
     """Store the way just found as a record; -1 when there is no room."""
     rec, first, length = t.num[RECS], t.num[ARENA], out[1]
-    if rec + 1 >= len(t.rec_len) or first + length + 2 >= len(t.states):
+    if rec + 1 >= len(t.way) or first + length + 2 >= len(t.states):
         return -1
     for k in range(length + 1):
-        t.states[first + k] = w.path[k]
-    t.rec_first[rec], t.rec_len[rec], t.rec_cost[rec], t.rec_min[rec] = first, length, out[0], least
-    t.rec_node[rec], t.rec_agent[rec], t.rec_wide[rec] = node, agent, 0
+        t.states[first + k] = path[k]
+    t.way[rec, FIRST], t.way[rec, LENGTH], t.way[rec, PRICE], t.way[rec, LEAST] = first, length, out[0], least
+    t.way[rec, MADE_AT], t.way[rec, OWNER], t.way[rec, SEEN] = node, agent, 0
     t.num[RECS] += 1
     t.num[ARENA] += length + 1
     t.num[LONGEST] = max(t.num[LONGEST], length)
@@ -223,18 +222,16 @@ def _replan(
     r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, agent: int, most: int, wide: int
 ) -> int:  # fmt: skip
     """New way of a vehicle under a node's constraints, meeting the node's other ways seldom; t.rec is updated."""
-    if not load_constraints(r, w, c, t, node, agent):
+    if not load_constraints(r, w.bans, c, t, node, agent):
         return NONE
-    clear_others(w)
-    n = len(c.start)
-    for k in range(n):
-        if k != agent and t.rec[node, k] >= 0:
-            rec = t.rec[node, k]
-            add_other(r, w, t.states, t.rec_first[rec], t.rec_len[rec])
+    clear_others(w.others)
+    for k in range(len(c.start)):
+        rec = np.int64(t.rec[node, k])
+        if k != agent and rec >= 0:
+            add_other(r.place, w.others, t.states, t.way[rec, FIRST], t.way[rec, LENGTH])
     least = np.int64(0)
-    mode, bound, limit = TIES, np.int64(most), most_expansions()
-    tries = 3 if wide > 1_000_000 else 1
-    for turn in range(tries):
+    mode, bound, limit = np.int64(TIES), np.int64(most), MANY
+    for turn in range(3 if wide > 1_000_000 else 1):
         d.out[2] = 0
         ended = search(
             r, w, c.h[agent], np.int64(c.cls[agent]), np.int64(c.start[agent]), np.int64(c.goal[agent]), mode, bound,
@@ -245,31 +242,26 @@ def _replan(
             if ended != FOUND:
                 return ended
             least = d.out[0]
-            mode, bound, limit = FEW, min(np.int64(least * (wide / 1e6)), most), np.int64(20_000)  # type: ignore[assignment]
+            mode, limit = np.int64(FEW), np.int64(20_000)
+            bound = np.int64(min(int(least * (wide / 1e6)), most))
         elif ended == FOUND:
             break
         else:  # the cheapest one again: w.path may be spoilt
-            mode, bound, limit = TIES, np.int64(most), most_expansions()
-    rec = _keep_way(t, w, agent, node, d.out, least)
-    if rec < 0:
+            mode, bound, limit = np.int64(TIES), np.int64(most), MANY
+    new = _keep_way(t, w.path, agent, node, d.out, least)
+    if new < 0:
         return FULL
-    t.rec[node, agent] = rec
+    t.rec[node, agent] = new
     return FOUND
 
 
 @njit(cache=True, nogil=True)
-def most_expansions() -> int:
-    """No limit within one search: it is finite."""
-    return np.int64(2**60)
-
-
-@njit(cache=True, nogil=True)
-def find_conflicts(r: Roads, t: Tree, d: Desk, recs: I32) -> int:
+def find_conflicts(place: I32, t: Tree, d: Desk, recs: I32) -> int:
     """Conflicts of a plan into the desk, by tick; returns how many (of those that found room, all that matter)."""
     n = len(recs)
     longest = 0
     for k in range(n):
-        longest = max(longest, t.rec_len[recs[k]])
+        longest = max(longest, t.way[recs[k], LENGTH])
         d.met[k] = 0
     count = 0
     room = len(d.a)
@@ -278,9 +270,9 @@ def find_conflicts(r: Roads, t: Tree, d: Desk, recs: I32) -> int:
         now = d.clock[0]
         for k in range(n):
             rec = recs[k]
-            length = t.rec_len[rec]
-            first = t.rec_first[rec]
-            p = r.place[t.states[first + min(tick, length)]]
+            length = t.way[rec, LENGTH]
+            first = t.way[rec, FIRST]
+            p = place[t.states[first + min(tick, length)]]
             if d.here_stamp[p] == now:
                 j = d.here[p]
                 if count < room:
@@ -296,16 +288,16 @@ def find_conflicts(r: Roads, t: Tree, d: Desk, recs: I32) -> int:
         # swaps between this tick and the next
         for k in range(n):
             rec = recs[k]
-            if tick >= t.rec_len[rec]:
+            if tick >= t.way[rec, LENGTH]:
                 continue
-            first = t.rec_first[rec]
-            p = r.place[t.states[first + tick]]
-            q = r.place[t.states[first + tick + 1]]
+            first = t.way[rec, FIRST]
+            p = place[t.states[first + tick]]
+            q = place[t.states[first + tick + 1]]
             if p != q and d.here_stamp[q] == now:
                 j = d.here[q]
                 if j < k:
                     other = recs[j]
-                    if tick < t.rec_len[other] and r.place[t.states[t.rec_first[other] + tick + 1]] == p:
+                    if tick < t.way[other, LENGTH] and place[t.states[t.way[other, FIRST] + tick + 1]] == p:
                         if count < room:
                             d.a[count], d.b[count], d.place[count], d.place2[count] = j, k, q, p
                             d.tick[count] = tick
@@ -317,43 +309,45 @@ def find_conflicts(r: Roads, t: Tree, d: Desk, recs: I32) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _know_single(r: Roads, w: Work, c: Case, t: Tree, m: Layers, rec: int) -> None:
+def _ways_within(r: Roads, k: Bans, c: Case, t: Tree, m: Layers, rec: int, cap: int, exact: bool) -> bool:
+    """All ways of a record's vehicle within a cost, under the constraints it was made with. False: no room."""
+    agent = t.way[rec, OWNER]
+    load_constraints(r, k, c, t, t.way[rec, MADE_AT], agent)
+    return build_layers(
+        r, k, m, c.h[agent], np.int64(c.cls[agent]), np.int64(c.start[agent]), np.int64(c.goal[agent]), cap, exact
+    )
+
+
+@njit(cache=True, nogil=True)
+def _know_single(r: Roads, k: Bans, c: Case, t: Tree, m: Layers, rec: int) -> None:
     """Find at which ticks all cheapest ways of a record's vehicle are at one place."""
-    if t.rec_wide[rec]:
+    if t.way[rec, SEEN]:
         return
-    t.rec_wide[rec] = 1
-    agent = np.int64(t.rec_agent[rec])
-    first, length = t.rec_first[rec], np.int64(t.rec_len[rec])
-    load_constraints(r, w, c, t, np.int64(t.rec_node[rec]), agent)
-    if t.rec_cost[rec] == t.rec_min[rec] and build_layers(
-        r, w, m, c.h[agent], np.int64(c.cls[agent]), np.int64(c.start[agent]), np.int64(c.goal[agent]), t.rec_cost[rec],
-        True,
-    ):  # fmt: skip
-        mark_single(r, m, c.goal[agent], t.single, first, length)
+    t.way[rec, SEEN] = 1
+    first, length = t.way[rec, FIRST], t.way[rec, LENGTH]
+    if t.way[rec, PRICE] == t.way[rec, LEAST] and _ways_within(r, k, c, t, m, rec, t.way[rec, PRICE], np.bool_(True)):
+        mark_single(r, m, np.int64(c.goal[t.way[rec, OWNER]]), t.single, first, length)
     else:
-        for k in range(length + 1):
-            t.single[first + k] = 0
+        t.single[first : first + length + 1] = 0
 
 
 @njit(cache=True, nogil=True)
 def _single(t: Tree, rec: int, tick: int) -> int:
-    if tick >= t.rec_len[rec]:
-        return t.single[t.rec_first[rec] + t.rec_len[rec]]
-    return t.single[t.rec_first[rec] + tick]
+    return np.int64(t.single[t.way[rec, FIRST] + min(tick, t.way[rec, LENGTH])])
 
 
 @njit(cache=True, nogil=True)
 def _cardinal(r: Roads, w: Work, c: Case, t: Tree, d: Desk, m: Layers, node: int, k: int) -> int:
     """How many of the two vehicles of a conflict can't avoid it at their present cost."""
-    ra, rb = np.int64(t.rec[node, d.a[k]]), np.int64(t.rec[node, d.b[k]])
-    _know_single(r, w, c, t, m, ra)
-    _know_single(r, w, c, t, m, rb)
-    tick = np.int64(d.tick[k])
-    one, two = _single(t, ra, tick), _single(t, rb, tick)
-    if d.place2[k] >= 0:
-        one &= _single(t, ra, tick + 1)
-        two &= _single(t, rb, tick + 1)
-    return one + two
+    tick, count = np.int64(d.tick[k]), np.int64(0)
+    for turn in range(2):
+        rec = np.int64(t.rec[node, d.b[k] if turn else d.a[k]])
+        _know_single(r, w.bans, c, t, m, rec)
+        one = _single(t, rec, tick)
+        if d.place2[k] >= 0:
+            one &= _single(t, rec, tick + 1)
+        count += one
+    return count
 
 
 # --- dependency heuristics -------------------------------------------------------------------------------------------
@@ -438,26 +432,18 @@ def _dependency(
         if t.pair_key[at] == key:
             return t.pair_value[at]
         at = (at + 1) & mask
-    a, b = np.int64(t.rec_agent[ra]), np.int64(t.rec_agent[rb])
+    gx, gy = np.int64(c.goal[t.way[ra, OWNER]]), np.int64(c.goal[t.way[rb, OWNER]])
     value = 0
     for extra in range(deepest):
-        free = 0
+        free = np.int64(0)
         for one in range(extra + 1):
-            load_constraints(r, w, c, t, np.int64(t.rec_node[ra]), a)
-            if not build_layers(
-                r, w, x, c.h[a], np.int64(c.cls[a]), np.int64(c.start[a]), np.int64(c.goal[a]), t.rec_min[ra] + one,
-                extra == 0,
-            ):  # fmt: skip
-                free = -1
+            exact = extra == 0
+            if not _ways_within(r, w.bans, c, t, x, ra, t.way[ra, LEAST] + one, exact) or not _ways_within(
+                r, w.bans, c, t, y, rb, t.way[rb, LEAST] + extra - one, exact
+            ):
+                free = np.int64(-1)
                 break
-            load_constraints(r, w, c, t, np.int64(t.rec_node[rb]), b)
-            if not build_layers(
-                r, w, y, c.h[b], np.int64(c.cls[b]), np.int64(c.start[b]), np.int64(c.goal[b]),
-                t.rec_min[rb] + extra - one, extra == 0,
-            ):  # fmt: skip
-                free = -1
-                break
-            free = _joint(r, d, x, y, c.goal[a], c.goal[b])
+            free = np.int64(_joint(r, d, x, y, gx, gy))
             if free != 0:
                 break
         if free != 0:
@@ -573,6 +559,49 @@ def _cover_bound(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Lay
     return weighted_cover(d.weight, d.mark, d.value, d.stack)
 
 
+@njit(cache=True, nogil=True)
+def pair_bound(c: Case, t: Tree, d: Desk, node: int) -> int:
+    """Lower bound of the extra cost of a node's plans: a matching of what pairs cost beyond their two cheapest ways."""
+    n = len(c.start)
+    count = 0
+    for i in range(n):
+        d.mark[i] = 0
+    for i in range(n):
+        for j in range(n):
+            need = c.pair[i, j] - t.way[t.rec[node, i], LEAST] - t.way[t.rec[node, j], LEAST] if i != j else np.int64(0)
+            d.weight[i, j] = max(need, 0)
+            if need > 0 and d.mark[i] == 0:
+                d.mark[i] = 1
+                d.stack[count] = i
+                count += 1
+    total = np.int64(0)
+    while count > MATCHED:
+        best, bi, bj = np.int64(0), -1, -1
+        for i in range(count):
+            for j in range(i):
+                if d.weight[d.stack[i], d.stack[j]] > best:
+                    best, bi, bj = d.weight[d.stack[i], d.stack[j]], i, j
+        if bi < 0:
+            return total
+        total += best
+        for at in (bi, bj):  # bj < bi: the last one takes the place of each
+            count -= 1
+            d.stack[at] = d.stack[count]
+    # over sets of vehicles: the first one alone, or with each of the others
+    d.matched[0] = 0
+    for group in range(1, 1 << count):
+        i = 0
+        while not (group >> i) & 1:
+            i += 1
+        rest = group ^ (1 << i)
+        best = d.matched[rest]
+        for j in range(i + 1, count):
+            if (rest >> j) & 1:
+                best = max(best, d.matched[rest ^ (1 << j)] + d.weight[d.stack[i], d.stack[j]])
+        d.matched[group] = best
+    return total + d.matched[(1 << count) - 1]
+
+
 # --- branching -------------------------------------------------------------------------------------------------------
 
 
@@ -583,7 +612,7 @@ def _priority(c: Case, t: Tree, d: Desk, node: int, agent: int, tick: int) -> fl
     most = 1
     for k in range(n):
         most = max(most, d.met[k])
-    length = max(t.rec_len[t.rec[node, agent]], 1)
+    length = max(t.way[t.rec[node, agent], LENGTH], 1)
     left = 1.0 - min(tick, length) / length
     return c.weights[0] * c.mass[agent] + c.weights[1] * left - c.weights[2] * d.met[agent] / most
 
@@ -606,8 +635,8 @@ def _choose(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, node: int, 
 @njit(cache=True, nogil=True)
 def _breaks(r: Roads, c: Case, t: Tree, node: int, agent: int) -> bool:
     """Whether a vehicle's present way breaks the node's own constraint."""
-    kind, who = np.int64(t.kind[node]), np.int64(t.agent[node])
-    p, q, tick = np.int64(t.place[node]), np.int64(t.place2[node]), np.int64(t.tick[node])
+    kind, who = np.int64(t.node[node, KIND]), np.int64(t.node[node, AGENT])
+    p, q, tick = np.int64(t.node[node, PLACE]), np.int64(t.node[node, PLACE2]), np.int64(t.node[node, TICK])
     rec = np.int64(t.rec[node, agent])
     if who == agent:
         if kind == NOT_AT:
@@ -615,9 +644,9 @@ def _breaks(r: Roads, c: Case, t: Tree, node: int, agent: int) -> bool:
         if kind == NOT_OVER:
             return _place_at(r, t, rec, tick) == p and _place_at(r, t, rec, tick + 1) == q
         if kind == LATER:
-            return t.rec_len[rec] <= tick
+            return t.way[rec, LENGTH] <= tick
         if kind == BY_THEN:
-            return t.rec_len[rec] > tick
+            return t.way[rec, LENGTH] > tick
         return False  # AT, OVER: chosen from its own way
     if kind == AT:
         return _place_at(r, t, rec, tick) == p
@@ -626,163 +655,184 @@ def _breaks(r: Roads, c: Case, t: Tree, node: int, agent: int) -> bool:
         return now == p or then == q or (now == q and then == p)
     if kind == BY_THEN:
         goal = c.goal[who]
-        for at in range(tick, t.rec_len[rec] + 1):
+        for at in range(tick, t.way[rec, LENGTH] + 1):
             if _place_at(r, t, rec, at) == goal:
                 return True
-        return t.rec_len[rec] < tick and c.goal[agent] == goal
+        return t.way[rec, LENGTH] < tick and c.goal[agent] == goal
     return False
 
 
 @njit(cache=True, nogil=True)
-def _push_open(c: Case, t: Tree, node: int, opt: I64) -> None:
+def _push_open(t: Tree, node: int, opt: I64) -> None:
     """Enter a node into the open list."""
-    few = min(t.conflicts[node], 1023)
-    f = t.low[node] + t.h[node]
-    t.num[HEAP] = push(t.open_key, t.open_item, t.num[HEAP], (f << 10) | few, node)
-    if opt[W_MILLION] > 1_000_000 and t.num[STAGE] == 1:
-        t.num[WAITING] = push(t.wait_key, t.wait_item, t.num[WAITING], t.cost[node], node)
+    few = min(t.node[node, CLASHES], 1023)
+    f = t.worth[node, PROVEN] + t.worth[node, H]
+    t.num[HEAP] = push(t.key[OPEN_LIST], t.item[OPEN_LIST], t.num[HEAP], (f << 10) | few, node)
+    if opt[W_MILLION] > 1_000_000:
+        t.num[WAITING] = push(t.key[WAIT_LIST], t.item[WAIT_LIST], t.num[WAITING], t.worth[node, COST], node)
 
 
 @njit(cache=True, nogil=True)
-def _new_child(
-    r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, opt: I64, agent: int, kind: int, p: int, q: int, tick: int
-) -> int:  # fmt: skip
+def _new_child(r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, opt: I64, cut: I64) -> int:
     """A child with one more constraint, its ways replanned. Returns its number, -1 without a plan, -2 for no room."""
     child = np.int64(t.num[NODES])
+    agent, kind = cut[0], cut[1]
+    t.node[child, PARENT] = node
+    for k in range(5):
+        t.node[child, AGENT + k] = cut[k]
+    t.node[child, KNOWS], t.node[child, STATUS], t.node[child, TURN] = 0, OPEN, -1
+    t.node[child, CONFLICT:] = -1
+    t.worth[child, COST], t.worth[child, PROVEN] = t.worth[node, COST], t.worth[node, PROVEN]
     n = len(c.start)
-    t.parent[child], t.agent[child], t.kind[child] = node, agent, kind
-    t.place[child], t.place2[child], t.tick[child] = p, q, tick
-    t.cost[child], t.low[child] = t.cost[node], t.low[node]
-    t.knows[child], t.status[child], t.h[child] = 0, OPEN, 0
     for k in range(n):
         t.rec[child, k] = t.rec[node, k]
+    binds_all = kind in (AT, OVER, BY_THEN)
     for k in range(n):
-        who = k if kind in (AT, OVER, BY_THEN) else agent
+        who = np.int64(k) if binds_all else agent
         if _breaks(r, c, t, child, who):
-            old = t.rec[child, who]
-            most = t.num[BEST_COST] - 1 - (t.low[child] - t.rec_min[old])
+            old = np.int64(t.rec[child, who])
+            most = t.num[BEST_COST] - 1 - (t.worth[child, PROVEN] - t.way[old, LEAST])
             ended = _replan(r, w, c, t, d, child, who, most, opt[W_MILLION])
             if ended == FULL:
                 return -2
             if ended != FOUND:
                 return -1
-            new = t.rec[child, who]
-            t.cost[child] += t.rec_cost[new] - t.rec_cost[old]
-            t.low[child] += t.rec_min[new] - t.rec_min[old]
-        if kind not in (AT, OVER, BY_THEN):
+            new = np.int64(t.rec[child, who])
+            t.worth[child, COST] += t.way[new, PRICE] - t.way[old, PRICE]
+            t.worth[child, PROVEN] += t.way[new, LEAST] - t.way[old, LEAST]
+        if not binds_all:
             break
     t.num[NODES] += 1
-    t.h[child] = max(0, t.low[node] + t.h[node] - t.low[child])
+    t.worth[child, H] = max(0, t.worth[node, PROVEN] + t.worth[node, H] - t.worth[child, PROVEN])
     return child
 
 
 @njit(cache=True, nogil=True)
 def _take(t: Tree, node: int) -> None:
     """The node's plan is the new incumbent."""
-    t.num[BEST], t.num[BEST_COST] = 1, t.cost[node]
+    t.num[BEST], t.num[BEST_COST], t.num[BEST_NODE] = 1, t.worth[node, COST], node
     for k in range(t.rec.shape[1]):
         t.best[k] = t.rec[node, k]
+
+
+@njit(cache=True, nogil=True)
+def _chosen(t: Tree, node: int) -> None:
+    """The node has had its turn."""
+    t.node[node, STATUS], t.node[node, TURN] = CHOSEN, t.num[TURNS]
+    t.num[TURNS] += 1
+
+
+@njit(cache=True, nogil=True)
+def _raised(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, opt: I64) -> bool:
+    """Know a node's least extra cost. True when it now stands elsewhere in the open list, or is pruned."""
+    if (opt[COVER] == 0 and opt[PAIRED] == 0) or t.node[node, KNOWS] == 1:
+        return False
+    t.node[node, KNOWS] = 1
+    extra = np.int64(0)
+    if opt[COVER] > 0:
+        extra = np.int64(_cover_bound(r, w, c, t, d, x, y, node, opt[COVER]))
+    if opt[PAIRED] == 1:
+        extra = max(extra, pair_bound(c, t, d, node))
+    if extra <= t.worth[node, H]:
+        return False
+    t.worth[node, H] = extra
+    if t.worth[node, PROVEN] + extra >= t.num[BEST_COST]:
+        t.node[node, STATUS] = PRUNED
+    else:
+        _push_open(t, node, opt)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _branch(t: Tree, d: Desk, node: int, k: int, low: int, opt: I64) -> None:
+    """The constraints that resolve a conflict, into d.cut: (2, 5) vehicle, kind, place, place2, tick of each child.
+
+    low: the vehicle that is constrained first, the other one's rival.
+    """
+    a, b = np.int64(d.a[k]), np.int64(d.b[k])
+    p, q, tick = np.int64(d.place[k]), np.int64(d.place2[k]), np.int64(d.tick[k])
+    if low == b:
+        a, b = b, a
+        if q >= 0:
+            p, q = q, p
+    cut = t.node[node]  # `a` has the lower priority; it goes p → q
+    cut[CONFLICT], cut[CONFLICT + 1], cut[CONFLICT + 2], cut[CONFLICT + 3], cut[CONFLICT + 4] = a, b, p, q, tick
+    one, two, not_kind, kind = a, a, NOT_AT, AT
+    if q >= 0:
+        not_kind, kind = NOT_OVER, OVER
+    elif opt[TARGET] == 1 and opt[BRANCH] == 0:
+        if tick >= t.way[t.rec[node, a], LENGTH]:
+            one, two, not_kind, kind = a, a, LATER, BY_THEN
+        elif tick >= t.way[t.rec[node, b], LENGTH]:
+            one, two, not_kind, kind = b, b, LATER, BY_THEN
+    p2, q2 = p, q
+    if opt[DISJOINT] == 0 and kind != BY_THEN:
+        two, kind = b, not_kind
+        if q >= 0:
+            p2, q2 = q, p
+    first, second = d.cut[0], d.cut[1]
+    first[0], first[1], first[2], first[3], first[4] = one, not_kind, p, q, tick
+    second[0], second[1], second[2], second[3], second[4] = two, kind, p2, q2, tick
+
+
+@njit(cache=True, nogil=True)
+def _bypassed(t: Tree, node: int, kid: int, own: int) -> bool:
+    """Whether a child has the node's cost and fewer conflicts; the node then takes the child's ways."""
+    same = t.worth[kid, COST] == t.worth[node, COST] and t.worth[kid, PROVEN] == t.worth[node, PROVEN]
+    if not same or t.node[kid, CLASHES] >= own:
+        return False
+    for j in range(t.rec.shape[1]):
+        rec = t.rec[kid, j]
+        if rec != t.rec[node, j]:
+            t.rec[node, j] = rec
+            t.way[rec, MADE_AT], t.way[rec, SEEN] = node, 0
+    t.node[node, CLASHES] = t.node[kid, CLASHES]
+    t.node[node, KNOWS] = 0
+    t.node[node, CONFLICT:] = -1
+    return True
 
 
 @njit(cache=True, nogil=True)
 def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, opt: I64) -> int:
     """Resolve one conflict of a node. FULL when there is no room: nothing has happened then."""
     while True:
-        if find_conflicts(r, t, d, t.rec[node]) == 0:
-            t.status[node] = CHOSEN
-            if t.cost[node] < t.num[BEST_COST]:
+        own = find_conflicts(r.place, t, d, t.rec[node])
+        if own == 0:
+            _chosen(t, node)
+            if t.worth[node, COST] < t.num[BEST_COST]:
                 _take(t, node)
             return FOUND
-        if opt[COVER] > 0 and t.knows[node] == 0:
-            t.knows[node] = 1
-            extra = _cover_bound(r, w, c, t, d, x, y, node, opt[COVER])
-            if extra > t.h[node]:
-                t.h[node] = extra
-                if t.low[node] + extra >= t.num[BEST_COST]:
-                    t.status[node] = PRUNED
-                    return FOUND
-                _push_open(c, t, node, opt)
-                return FOUND
+        if _raised(r, w, c, t, d, x, y, node, opt):
+            return FOUND
         k = _choose(r, w, c, t, d, x, node, opt)
         a, b = np.int64(d.a[k]), np.int64(d.b[k])
-        p, q, tick = np.int64(d.place[k]), np.int64(d.place2[k]), np.int64(d.tick[k])
-        low, high = _priority(c, t, d, node, a, tick), _priority(c, t, d, node, b, tick)
-        if high < low:
-            a, b = b, a
-            low, high = high, low
-            if q >= 0:
-                p, q = q, p
-        # now `a` has the lower priority and is constrained first; it goes p → q
-        t.dp_low[node], t.dp_high[node] = low, high
+        low = _priority(c, t, d, node, a, np.int64(d.tick[k]))
+        high = _priority(c, t, d, node, b, np.int64(d.tick[k]))
+        t.priority[node, 0], t.priority[node, 1] = min(low, high), max(low, high)
+        _branch(t, d, node, k, b if high < low else a, opt)
         nodes, recs, arena = t.num[NODES], t.num[RECS], t.num[ARENA]
-        resting = np.int64(-1)
-        if q < 0 and opt[TARGET] == 1 and opt[BRANCH] == 0:
-            if tick >= t.rec_len[t.rec[node, a]]:
-                resting = a
-            elif tick >= t.rec_len[t.rec[node, b]]:
-                resting = b
-        kids = 0
-        one = two = -1
+        bypassed = False
         for turn in range(1 if opt[BRANCH] == 1 else 2):
-            if resting >= 0:
-                kid = _new_child(
-                    r, w, c, t, d, node, opt, resting, LATER if turn == 0 else BY_THEN, p, -1, tick
-                )  # fmt: skip
-            elif q < 0:
-                who = a if turn == 0 or opt[DISJOINT] == 1 else b
-                kind = AT if turn == 1 and opt[DISJOINT] == 1 else NOT_AT
-                kid = _new_child(r, w, c, t, d, node, opt, who, kind, p, -1, tick)
-            elif opt[DISJOINT] == 1:
-                kid = _new_child(r, w, c, t, d, node, opt, a, OVER if turn == 1 else NOT_OVER, p, q, tick)
-            elif turn == 0:
-                kid = _new_child(r, w, c, t, d, node, opt, a, NOT_OVER, p, q, tick)
-            else:
-                kid = _new_child(r, w, c, t, d, node, opt, b, NOT_OVER, q, p, tick)
+            kid = _new_child(r, w, c, t, d, node, opt, d.cut[turn])
             if kid == -2:
                 t.num[NODES], t.num[RECS], t.num[ARENA] = nodes, recs, arena
                 return FULL
-            if kid >= 0:
-                kids += 1
-                if turn == 0:
-                    one = kid
-                else:
-                    two = kid
-        own = d.found[0]
-        swapped = False
-        for kid in (one, two):
-            if kid < 0:
-                continue
-            t.conflicts[kid] = find_conflicts(r, t, d, t.rec[kid])
-            if (
-                opt[BYPASS] == 1
-                and t.cost[kid] == t.cost[node]
-                and t.low[kid] == t.low[node]
-                and t.conflicts[kid] < own
-            ):
-                for j in range(len(c.start)):
-                    rec = t.rec[kid, j]
-                    if rec != t.rec[node, j]:
-                        t.rec[node, j] = rec
-                        t.rec_node[rec] = node
-                        t.rec_wide[rec] = 0
-                t.conflicts[node] = t.conflicts[kid]
-                swapped = True
+        for kid in range(nodes, t.num[NODES]):
+            t.node[kid, CLASHES] = find_conflicts(r.place, t, d, t.rec[kid])
+            if opt[BYPASS] == 1 and _bypassed(t, node, kid, own):
+                bypassed = True
                 break
-        if swapped:
+        if bypassed:
             t.num[NODES] = nodes
-            t.knows[node] = 0
             continue
-        for kid in (one, two):
-            if kid < 0:
+        for kid in range(nodes, t.num[NODES]):
+            if t.worth[kid, PROVEN] + t.worth[kid, H] >= t.num[BEST_COST]:
+                t.node[kid, STATUS] = PRUNED
                 continue
-            f = t.low[kid] + t.h[kid]
-            if f >= t.num[BEST_COST]:
-                t.status[kid] = PRUNED
-                continue
-            if t.conflicts[kid] == 0 and t.cost[kid] < t.num[BEST_COST]:
+            if t.node[kid, CLASHES] == 0 and t.worth[kid, COST] < t.num[BEST_COST]:
                 _take(t, kid)
-            _push_open(c, t, kid, opt)
-        t.status[node] = CHOSEN
+            _push_open(t, kid, opt)
+        _chosen(t, node)
         return FOUND
 
 
@@ -793,14 +843,14 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
 def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32) -> int:
     """Vehicles one after another in an order, earlier ones being obstacles; a better plan becomes the incumbent."""
     recs, arena = t.num[RECS], t.num[ARENA]
-    clear_others(w)
-    clear_constraints(w)
-    finish_constraints(w)
+    clear_others(w.others)
+    clear_constraints(w.bans)
+    finish_constraints(w.bans)
     total, good = 0, True
     for k in order:
         d.out[2] = 0
         ended = search(
-            r, w, c.h[k], np.int64(c.cls[k]), np.int64(c.start[k]), np.int64(c.goal[k]), HARD,
+            r, w, c.h[k], np.int64(c.cls[k]), np.int64(c.start[k]), np.int64(c.goal[k]), np.int64(HARD),
             t.num[BEST_COST] - 1 - total, np.int64(1_000_000), d.out,
         )  # fmt: skip
         t.num[LOW] += d.out[2]
@@ -810,17 +860,17 @@ def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32) -> int
         if ended != FOUND:
             good = False
             break
-        rec = _keep_way(t, w, k, 0, d.out, d.out[0])
+        rec = _keep_way(t, w.path, np.int64(k), np.int64(0), d.out, d.out[0])
         if rec < 0:
             t.num[RECS], t.num[ARENA] = recs, arena
             return FULL
         d.stack[k] = rec
         total += d.out[0]
-        if not add_other(r, w, t.states, t.rec_first[rec], t.rec_len[rec]):
+        if not add_other(r.place, w.others, t.states, t.way[rec, FIRST], t.way[rec, LENGTH]):
             t.num[RECS], t.num[ARENA] = recs, arena
             return FULL
     if good and total < t.num[BEST_COST]:
-        t.num[BEST], t.num[BEST_COST] = 1, total
+        t.num[BEST], t.num[BEST_COST], t.num[BEST_NODE] = 1, total, -1
         for k in range(len(order)):
             t.best[k] = d.stack[k]
     else:
@@ -829,91 +879,116 @@ def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32) -> int
 
 
 @njit(cache=True, nogil=True)
+def _root(r: Roads, w: Work, c: Case, t: Tree, d: Desk, opt: I64) -> int:
+    """Every vehicle for itself."""
+    t.num[RECS], t.num[ARENA], t.num[NODES] = 0, 0, 0
+    t.node[0] = -1
+    t.node[0, KIND], t.node[0, KNOWS], t.node[0, STATUS] = ROOT, 0, OPEN
+    t.worth[0] = 0
+    t.rec[0] = -1
+    for k in range(len(c.start)):
+        ended = _replan(r, w, c, t, d, np.int64(0), np.int64(k), NEVER, opt[W_MILLION])
+        if ended != FOUND:
+            return ended
+        t.worth[0, COST] += t.way[t.rec[0, k], PRICE]
+        t.worth[0, PROVEN] += t.way[t.rec[0, k], LEAST]
+    t.num[NODES] = 1
+    t.node[0, CLASHES] = find_conflicts(r.place, t, d, t.rec[0])
+    t.num[BEST], t.num[BEST_COST], t.num[BEST_NODE] = 0, NEVER, -1
+    t.num[BOUND] = t.worth[0, PROVEN]
+    t.num[TRIED] = t.num[TURNS] = t.num[HEAP] = t.num[FOCAL] = t.num[WAITING] = 0
+    if t.node[0, CLASHES] == 0:
+        _take(t, np.int64(0))
+    return FOUND
+
+
+@njit(cache=True, nogil=True)
+def _weed(t: Tree) -> None:
+    """Drop from the front of the open list what is done, out of date or no better than the best plan."""
+    keys, items = t.key[OPEN_LIST], t.item[OPEN_LIST]
+    while t.num[HEAP] > 0:
+        top = np.int64(items[0])
+        f = keys[0] >> 10
+        if t.node[top, STATUS] == OPEN and f == t.worth[top, PROVEN] + t.worth[top, H]:
+            if f < t.num[BEST_COST]:
+                return
+            t.node[top, STATUS] = PRUNED
+        t.num[HEAP] = drop_first(keys, items, t.num[HEAP])
+
+
+@njit(cache=True, nogil=True)
+def _next(t: Tree, wide: int) -> int:
+    """The node to expand: least f, or with w > 1 the fewest conflicts among those within the bound."""
+    if wide > 1_000_000:
+        keys, items = t.key[WAIT_LIST], t.item[WAIT_LIST]
+        near, near_items = t.key[FOCAL_LIST], t.item[FOCAL_LIST]
+        while t.num[WAITING] > 0 and keys[0] * 1_000_000 <= t.num[BOUND] * wide:
+            kid = np.int64(items[0])
+            t.num[WAITING] = drop_first(keys, items, t.num[WAITING])
+            if t.node[kid, STATUS] == OPEN:
+                key = (np.int64(t.node[kid, CLASHES]) << 42) | min(t.worth[kid, COST], 2**42 - 1)
+                t.num[FOCAL] = push(near, near_items, t.num[FOCAL], key, kid)
+        while t.num[FOCAL] > 0 and t.node[near_items[0], STATUS] != OPEN:
+            t.num[FOCAL] = drop_first(near, near_items, t.num[FOCAL])
+        if t.num[FOCAL] > 0:
+            return np.int64(near_items[0])
+    return np.int64(t.item[OPEN_LIST, 0])
+
+
+@njit(cache=True, nogil=True)
+def _cramped(t: Tree, w: Work) -> bool:
+    """Whether the next expansion may not find room."""
+    most = max(t.num[HEAP], t.num[WAITING], t.num[FOCAL])
+    ticks = min(len(w.path), w.others.num[ROOM])
+    return t.num[NODES] + 4 >= len(t.node) or most + 8 >= t.key.shape[1] or t.num[LONGEST] * 2 + 16 >= ticks
+
+
+@njit(cache=True, nogil=True)
 def run(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt: I64, nodes: int, work: int) -> int:
-    """Go on until the plan is proven, `nodes` more nodes or `work` more single-vehicle expansions are spent."""
-    n = len(c.start)
+    """Go on until the plan is proven, `nodes` more nodes or `work` more single-vehicle expansions are spent.
+
+    With no nodes it ends once the root is there, so that c.pair can be filled for its conflicts.
+    """
     till_high, till_low = t.num[HIGH] + nodes, t.num[LOW] + work
     if t.num[STAGE] == 0:
-        # the root: every vehicle for itself
-        t.num[RECS], t.num[ARENA], t.num[NODES] = 0, 0, 0
-        t.parent[0], t.agent[0], t.kind[0] = -1, -1, ROOT
-        t.place[0], t.place2[0], t.tick[0] = -1, -1, -1
-        t.cost[0], t.low[0], t.h[0], t.knows[0], t.status[0] = 0, 0, 0, 0, OPEN
-        for k in range(n):
-            t.rec[0, k] = -1
-        for k in range(n):
-            ended = _replan(r, w, c, t, d, np.int64(0), k, NEVER, opt[W_MILLION])
-            if ended == FULL:
-                return GROW
-            if ended != FOUND:
-                return EMPTY
-            t.cost[0] += t.rec_cost[t.rec[0, k]]
-            t.low[0] += t.rec_min[t.rec[0, k]]
-        t.num[NODES] = 1
-        t.conflicts[0] = find_conflicts(r, t, d, t.rec[0])
-        t.num[BOUND] = t.low[0]
-        t.num[BEST], t.num[BEST_COST] = 0, NEVER
+        ended = _root(r, w, c, t, d, opt)
+        if ended != FOUND:
+            return GROW if ended == FULL else EMPTY
         t.num[STAGE] = 1
-        t.num[TRIED] = 0
-        if t.conflicts[0] == 0:
-            _take(t, 0)
-        t.num[HEAP] = t.num[FOCAL] = t.num[WAITING] = 0
-        _push_open(c, t, 0, opt)
+        if nodes == 0:
+            return MORE
+    if t.num[STAGE] == 1:
+        if opt[PAIRED] == 1:
+            t.worth[0, H] = pair_bound(c, t, d, np.int64(0))
+            t.num[BOUND] += t.worth[0, H]
+        _push_open(t, np.int64(0), opt)
+        t.num[STAGE] = 2
     while t.num[TRIED] < min(opt[TRIES], len(c.orders)):
         if t.num[BEST] == 1 and t.num[BEST_COST] * 1_000_000 <= t.num[BOUND] * opt[W_MILLION]:
             break
+        if t.num[LOW] >= till_low:
+            return MORE
         if _prioritize(r, w, c, t, d, c.orders[t.num[TRIED]]) == FULL:
             return GROW
         t.num[TRIED] += 1
-    wide = opt[W_MILLION]
     while True:
-        # drop what is done or can't improve
-        while t.num[HEAP] > 0:
-            top = np.int64(t.open_item[0])
-            f = t.open_key[0] >> 10
-            if t.status[top] != OPEN or f != t.low[top] + t.h[top]:
-                t.num[HEAP] = drop_first(t.open_key, t.open_item, t.num[HEAP])
-            elif f >= t.num[BEST_COST]:
-                t.status[top] = PRUNED
-                t.num[HEAP] = drop_first(t.open_key, t.open_item, t.num[HEAP])
-            else:
-                break
+        _weed(t)
         if t.num[HEAP] == 0:
             if t.num[BEST] == 0:
                 return EMPTY
             t.num[BOUND] = max(t.num[BOUND], t.num[BEST_COST])
             return DONE
-        t.num[BOUND] = max(t.num[BOUND], t.open_key[0] >> 10)
-        if t.num[BEST] == 1 and t.num[BEST_COST] * 1_000_000 <= t.num[BOUND] * wide:
+        t.num[BOUND] = max(t.num[BOUND], t.key[OPEN_LIST, 0] >> 10)
+        if t.num[BEST] == 1 and t.num[BEST_COST] * 1_000_000 <= t.num[BOUND] * opt[W_MILLION]:
             return DONE
         if t.num[HIGH] >= till_high or t.num[LOW] >= till_low:
             return MORE
-        if (
-            t.num[NODES] + 4 >= len(t.parent)
-            or t.num[HEAP] + 8 >= len(t.open_key)
-            or t.num[WAITING] + 8 >= len(t.wait_key)
-            or t.num[FOCAL] + 8 >= len(t.focal_key)
-            or t.num[LONGEST] * 2 + 16 >= len(w.path)
-            or t.num[LONGEST] * 2 + 16 >= w.others_len[1]
-        ):
+        if _cramped(t, w):
             return GROW
-        node = np.int64(-1)
-        if wide > 1_000_000:
-            while t.num[WAITING] > 0 and t.wait_key[0] * 1_000_000 <= t.num[BOUND] * wide:
-                kid = t.wait_item[0]
-                t.num[WAITING] = drop_first(t.wait_key, t.wait_item, t.num[WAITING])
-                if t.status[kid] == OPEN:
-                    key = (np.int64(t.conflicts[kid]) << 42) | min(t.cost[kid], 2**42 - 1)
-                    t.num[FOCAL] = push(t.focal_key, t.focal_item, t.num[FOCAL], key, kid)
-            while t.num[FOCAL] > 0 and t.status[t.focal_item[0]] != OPEN:
-                t.num[FOCAL] = drop_first(t.focal_key, t.focal_item, t.num[FOCAL])
-            if t.num[FOCAL] > 0:
-                node = np.int64(t.focal_item[0])
-        if node < 0:
-            node = np.int64(t.open_item[0])
-        knew = t.knows[node]
-        before = t.low[node] + t.h[node]
+        node = _next(t, opt[W_MILLION])
+        raised = t.worth[node, PROVEN] + t.worth[node, H]
         if _expand(r, w, c, t, d, x, y, node, opt) == FULL:
             return GROW
-        if t.status[node] == CHOSEN or knew == t.knows[node] or before == t.low[node] + t.h[node]:
+        # a node that only moved up in the open list is not expanded yet
+        if t.node[node, STATUS] == CHOSEN or raised == t.worth[node, PROVEN] + t.worth[node, H]:
             t.num[HIGH] += 1

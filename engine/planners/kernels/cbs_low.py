@@ -29,9 +29,15 @@ TIES, HARD, FEW = 0, 1, 2
 """The others' ways break ties; are obstacles; are met as seldom as the cost bound allows."""
 
 LAST, FREE_FROM, BY, MARKS, BASE, STAMP, CLOSED, BASE_AT = range(8)
-"""Slots of Work.con: last tick at which a constraint acts · earliest tick of the last arrival · latest · number of
+"""Slots of Bans.con: last tick at which a constraint acts · earliest tick of the last arrival · latest · number of
 landmarks · cost that the last one proves until its tick, counted from tick 0 · current stamp · 1 with places closed
 for good · that tick."""
+
+
+BANNED, MUST, MUST_STAMP, AHEAD_TICK, AHEAD_PLACE = range(5)
+CLOSED_AT, CLOSED_STAMP, ROW, QUEUE = range(4)
+STATE, TICK, MET, BEFORE = range(4)
+THEY, FILLED, ROOM = range(3)
 
 
 class Roads(NamedTuple):
@@ -57,40 +63,39 @@ class Roads(NamedTuple):
     near: I32
 
 
-class Work(NamedTuple):
-    """Reusable space of one search. Stamps stand for clearing."""
+class Bans(NamedTuple):
+    """The constraints of one vehicle. Stamps stand for clearing."""
 
-    state: I32  # nodes
-    tick: I32
+    con: I64
+    key: I64  # forbidden places and motions by tick
+    stamp: I32
+    by_tick: I32  # (T, 5) stamp where any is forbidden · place to be in, its stamp · next landmark's tick, place
+    by_place: I32  # (P, 4) tick from which it is closed for good, its stamp · row of `steps` or -1 · a queue
+    steps: I32  # (R, P) least ticks to a place
+    rows: I64  # (1,) rows filled
+
+
+class Others(NamedTuple):
+    """Where everybody else is."""
+
+    at: I32  # (2, T·P) stamp: somebody is here · and goes there
+    rest: I32  # (P, 2) tick from which somebody rests here, its stamp
+    num: I64  # stamp, ticks filled, ticks of room
+
+
+class Work(NamedTuple):
+    """Reusable space of one search."""
+
+    bans: Bans
+    others: Others
+    node: I32  # (N, 4) state, tick, meetings with the others, node before
     g: I64
-    met: I32
-    parent: I32
     keys: I64  # heap
     items: I32
     slot_key: I64  # best node by (state, tick)
-    slot_node: I32
-    slot_stamp: I32
-    con: I64
-    stamp: I64  # counters of stamps: search, others
-    con_key: I64  # forbidden places and motions by tick
-    con_stamp: I32
-    con_tick: I32  # (T,) stamp of ticks at which any is forbidden
-    must: I32  # (T,) place to be in
-    must_stamp: I32
-    ahead_tick: I32  # (T,) next landmark
-    ahead_place: I32
-    closed: I32  # (P,) tick from which a place is closed for good
-    closed_stamp: I32
-    others: I32  # (T·P,) stamp: somebody is here
-    others_next: I32  # and goes there
-    others_len: I64  # ticks filled, ticks of room
-    rest: I32  # (P,) tick from which somebody rests here
-    rest_stamp: I32
+    slot: I32  # (M, 2) that node, stamp
+    stamp: I64  # (1,) of the search
     path: I32  # states of the way found
-    row_of: I32  # (P,) row of `steps`, or -1
-    steps: I32  # (R, P) least ticks to a place
-    rows: I64
-    queue: I32  # (P,)
 
 
 class Layers(NamedTuple):
@@ -167,29 +172,29 @@ def fill_cost_to_goal(r: Roads, cls: int, goal: int, blocked, out: I64, keys: I6
 
 
 @njit(cache=True, nogil=True)
-def steps_to(r: Roads, w: Work, place: int) -> int:
-    """Row of w.steps with the least ticks to a place, blocks ignored; -1 when there is no room."""
-    row = w.row_of[place]
+def steps_to(r: Roads, k: Bans, place: int) -> int:
+    """Row of k.steps with the least ticks to a place, blocks ignored; -1 when there is no room."""
+    row = np.int64(k.by_place[place, ROW])
     if row >= 0:
         return row
-    row = w.rows[0]
-    if row >= w.steps.shape[0]:
+    row = k.rows[0]
+    if row >= k.steps.shape[0]:
         return -1
-    w.rows[0] = row + 1
-    w.row_of[place] = row
-    out = w.steps[row]
+    k.rows[0] = row + 1
+    k.by_place[place, ROW] = row
+    out = k.steps[row]
     out[:] = FOREVER
     out[place] = 0
-    w.queue[0] = place
+    k.by_place[0, QUEUE] = place
     head, tail = 0, 1
     while head < tail:
-        p = w.queue[head]
+        p = k.by_place[head, QUEUE]
         head += 1
-        for k in range(r.near_ptr[p], r.near_ptr[p + 1]):
-            q = r.near[k]
+        for i in range(r.near_ptr[p], r.near_ptr[p + 1]):
+            q = r.near[i]
             if out[q] >= FOREVER:
                 out[q] = out[p] + 1
-                w.queue[tail] = q
+                k.by_place[tail, QUEUE] = q
                 tail += 1
     return row
 
@@ -214,183 +219,209 @@ def lift(ptr: I32, to: I32, place: I32, still: I32, start: int, places: I32, out
 
 
 @njit(cache=True, nogil=True)
-def clear_constraints(w: Work) -> None:
+def clear_constraints(k: Bans) -> None:
     """Forget all constraints."""
-    w.con[STAMP] += 1
-    w.con[LAST] = 0
-    w.con[FREE_FROM] = 0
-    w.con[BY] = FOREVER
-    w.con[MARKS] = 0
-    w.con[BASE] = 0
-    w.con[BASE_AT] = 0
-    w.con[CLOSED] = 0
+    stamp = k.con[STAMP]
+    k.con[:] = 0
+    k.con[STAMP], k.con[BY] = stamp + 1, FOREVER
 
 
 @njit(cache=True, nogil=True)
-def _forbid(w: Work, key: int, tick: int) -> None:
-    """Forbid a key that acts at the end of the step into `tick`."""
-    bits = bits_of(len(w.con_key))
-    stamp = w.con[STAMP]
+def forbid(k: Bans, place: int, before: int, tick: int) -> None:
+    """Not at this place at this tick, or, coming from the place `before` (the number of places: from anywhere)."""
+    n = len(k.by_place)
+    key = (np.int64(tick) * n + place) * (n + 1) + before
+    bits = bits_of(len(k.key))
+    stamp = k.con[STAMP]
     at = slot_at(key, bits)
-    mask = len(w.con_key) - 1
-    while w.con_stamp[at] == stamp:
-        if w.con_key[at] == key:
+    mask = len(k.key) - 1
+    while k.stamp[at] == stamp:
+        if k.key[at] == key:
             return
         at = (at + 1) & mask
-    w.con_stamp[at] = stamp
-    w.con_key[at] = key
-    w.con_tick[tick] = stamp
-    w.con[LAST] = max(w.con[LAST], tick)
+    k.stamp[at] = stamp
+    k.key[at] = key
+    k.by_tick[tick, BANNED] = stamp
+    k.con[LAST] = max(k.con[LAST], tick)
 
 
 @njit(cache=True, nogil=True)
-def forbid_place(r: Roads, w: Work, place: int, tick: int, goal: int) -> None:
+def forbid_place(k: Bans, place: int, tick: int, goal: int) -> None:
     """Not at this place at this tick."""
-    n = len(r.place_ptr) - 1
-    _forbid(w, np.int64(tick) * (n + 1) * n + np.int64(place) * (n + 1) + n, tick)
+    forbid(k, place, np.int64(len(k.by_place)), tick)
     if place == goal:
-        w.con[FREE_FROM] = max(w.con[FREE_FROM], tick + 1)
+        k.con[FREE_FROM] = max(k.con[FREE_FROM], tick + 1)
 
 
-@njit(cache=True, nogil=True)
-def forbid_move(r: Roads, w: Work, place: int, place2: int, tick: int) -> None:
-    """Not from a place to another, leaving at this tick."""
-    n = len(r.place_ptr) - 1
-    _forbid(w, np.int64(tick + 1) * (n + 1) * n + np.int64(place2) * (n + 1) + place, tick + 1)
-
-
-@njit(cache=True, nogil=True)
-def _forbidden(con_key: I64, con_stamp: I32, stamp: int, key: int, bits: int) -> bool:
+@njit(cache=True, nogil=True, forceinline=True)
+def _forbidden(k: Bans, stamp: int, key: int, bits: int) -> bool:
     at = slot_at(key, bits)
-    mask = len(con_key) - 1
-    while con_stamp[at] == stamp:
-        if con_key[at] == key:
+    mask = len(k.key) - 1
+    while k.stamp[at] == stamp:
+        if k.key[at] == key:
             return True
         at = (at + 1) & mask
     return False
 
 
 @njit(cache=True, nogil=True)
-def close_place(w: Work, place: int, tick: int) -> None:
+def close_place(k: Bans, place: int, tick: int) -> None:
     """Not at this place from this tick on."""
-    stamp = w.con[STAMP]
-    if w.closed_stamp[place] != stamp or w.closed[place] > tick:
-        w.closed_stamp[place] = stamp
-        w.closed[place] = tick
-    w.con[CLOSED] = 1
-    w.con[LAST] = max(w.con[LAST], tick)
+    stamp = k.con[STAMP]
+    if k.by_place[place, CLOSED_STAMP] != stamp or k.by_place[place, CLOSED_AT] > tick:
+        k.by_place[place, CLOSED_STAMP] = stamp
+        k.by_place[place, CLOSED_AT] = tick
+    k.con[CLOSED] = 1
+    k.con[LAST] = max(k.con[LAST], tick)
 
 
 @njit(cache=True, nogil=True)
-def add_landmark(w: Work, place: int, tick: int, goal: int, least: int, wait: int) -> bool:
+def add_landmark(k: Bans, place: int, tick: int, goal: int, least: int, wait: int) -> bool:
     """At this place at this tick; `least` is the cost from there to the goal. False when it contradicts another."""
-    stamp = w.con[STAMP]
-    if w.must_stamp[tick] == stamp and w.must[tick] != place:
+    stamp = k.con[STAMP]
+    if k.by_tick[tick, MUST_STAMP] == stamp and k.by_tick[tick, MUST] != place:
         return False
-    w.must_stamp[tick] = stamp
-    w.must[tick] = place
-    w.con[MARKS] += 1
-    w.con[LAST] = max(w.con[LAST], tick)
+    k.by_tick[tick, MUST_STAMP] = stamp
+    k.by_tick[tick, MUST] = place
+    k.con[MARKS] += 1
+    k.con[LAST] = max(k.con[LAST], tick)
     if place != goal:
-        w.con[FREE_FROM] = max(w.con[FREE_FROM], tick + 1)
-        if tick >= w.con[BASE_AT]:  # past it, a motion may have cost more than its tick
-            w.con[BASE_AT] = tick
-            w.con[BASE] = tick * wait + least
+        k.con[FREE_FROM] = max(k.con[FREE_FROM], tick + 1)
+        if tick >= k.con[BASE_AT]:  # past it, a motion may have cost more than its tick
+            k.con[BASE_AT] = tick
+            k.con[BASE] = tick * wait + least
     return True
 
 
 @njit(cache=True, nogil=True)
-def finish_constraints(w: Work) -> None:
+def finish_constraints(k: Bans) -> None:
     """Note for every tick which landmark comes next; call after the last constraint."""
-    w.con[LAST] = max(w.con[LAST], w.con[FREE_FROM])
-    if w.con[MARKS] == 0:
+    k.con[LAST] = max(k.con[LAST], k.con[FREE_FROM])
+    if k.con[MARKS] == 0:
         return
-    stamp = w.con[STAMP]
     place, at = -1, -1
-    for t in range(w.con[LAST], -1, -1):
-        if w.must_stamp[t] == stamp:
-            place, at = w.must[t], t
-        w.ahead_place[t] = place
-        w.ahead_tick[t] = at
+    for t in range(k.con[LAST], -1, -1):
+        if k.by_tick[t, MUST_STAMP] == k.con[STAMP]:
+            place, at = k.by_tick[t, MUST], t
+        k.by_tick[t, AHEAD_PLACE] = place
+        k.by_tick[t, AHEAD_TICK] = at
+
+
+@njit(cache=True, nogil=True)
+def _tables(r: Roads, k: Bans, goal: int) -> int:
+    """Make the tables of steps that the constraints ask for; the goal's row, or -1 when it isn't needed."""
+    if k.con[MARKS] > 0:
+        for t in range(k.con[LAST] + 1):
+            if k.by_tick[t, MUST_STAMP] == k.con[STAMP]:
+                steps_to(r, k, np.int64(k.by_tick[t, MUST]))
+    return steps_to(r, k, goal) if k.con[BY] < FOREVER else np.int64(-1)
+
+
+class Rules(NamedTuple):
+    """What a search reads of the constraints at every step: slots of Bans.con, and two sizes."""
+
+    stamp: int
+    last: int
+    marks: int
+    closed: int
+    by: int
+    bits: int  # log2 of the slots for forbidden keys
+    row: int  # steps to the goal, or -1
+
+
+@njit(cache=True, nogil=True)
+def _rules(r: Roads, k: Bans, goal: int) -> Rules:
+    c = k.con
+    return Rules(c[STAMP], c[LAST], c[MARKS], c[CLOSED], c[BY], bits_of(len(k.key)), _tables(r, k, goal))
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _allowed(k: Bans, rule: Rules, u: int, v: int, t: int) -> bool:
+    """Whether the constraints let one go from place u to place v, arriving at tick t."""
+    if t <= rule.last:
+        if k.by_tick[t, BANNED] == rule.stamp:
+            n = len(k.by_place)
+            key = (np.int64(t) * n + v) * (n + 1)
+            if _forbidden(k, rule.stamp, key + n, rule.bits) or (
+                u != v and _forbidden(k, rule.stamp, key + u, rule.bits)
+            ):
+                return False
+        if rule.marks > 0 and k.by_tick[t, AHEAD_TICK] >= 0:
+            gap = k.by_tick[t, AHEAD_TICK] - t
+            if gap == 0:
+                if v != k.by_tick[t, AHEAD_PLACE]:
+                    return False
+            else:
+                far = k.by_place[k.by_tick[t, AHEAD_PLACE], ROW]
+                if far >= 0 and k.steps[far, v] > gap:
+                    return False
+    if rule.closed == 1 and k.by_place[v, CLOSED_STAMP] == rule.stamp and t >= k.by_place[v, CLOSED_AT]:
+        return False
+    return rule.row < 0 or t + k.steps[rule.row, v] <= rule.by
 
 
 # --- the others ------------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True)
-def clear_others(w: Work) -> None:
+def clear_others(o: Others) -> None:
     """Nobody else is on the floor."""
-    w.stamp[1] += 1
-    w.others_len[0] = 0
+    o.num[THEY] += 1
+    o.num[FILLED] = 0
 
 
 @njit(cache=True, nogil=True)
-def add_other(r: Roads, w: Work, states: I32, first: int, length: int) -> bool:
-    """Enter somebody's way (states[first : first + length + 1], then rest). False when the room is too short."""
-    n = len(r.place_ptr) - 1
-    stamp = w.stamp[1]
-    fits = length + 1 < w.others_len[1]
-    last = length if fits else w.others_len[1] - 1
-    place = r.place[states[first]]
+def add_other(place: I32, o: Others, states: I32, first: int, length: int) -> bool:
+    """Enter somebody's way (states[first : first + length + 1], then rest). False when the room is too short.
+
+    place: of each state.
+    """
+    n = len(o.rest)
+    stamp = o.num[THEY]
+    fits = length + 1 < o.num[ROOM]
+    last = length if fits else o.num[ROOM] - 1
+    p = place[states[first]]
     for t in range(last):
-        after = r.place[states[first + t + 1]]
-        w.others[t * n + place] = stamp
-        w.others_next[t * n + place] = after
-        place = after
+        after = place[states[first + t + 1]]
+        o.at[0, t * n + p] = stamp
+        o.at[1, t * n + p] = after
+        p = after
     if fits:
-        if w.rest_stamp[place] != stamp or w.rest[place] > length:
-            w.rest_stamp[place] = stamp
-            w.rest[place] = length
-        w.others_len[0] = max(w.others_len[0], length + 1)
+        if o.rest[p, 1] != stamp or o.rest[p, 0] > length:
+            o.rest[p, 1] = stamp
+            o.rest[p, 0] = length
+        o.num[FILLED] = max(o.num[FILLED], length + 1)
     return fits
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _meets(others, others_next, rest, rest_stamp, stamp, filled, room, n, u, v, t):  # type: ignore[no-untyped-def]
-    """How many others one meets going from place u at tick t to place v."""
-    met = 0
-    if rest_stamp[v] == stamp and rest[v] <= t + 1:
+@njit(cache=True, nogil=True, forceinline=True)
+def _meets(o: Others, they: int, filled: int, ticks: int, u: int, v: int, t: int) -> int:
+    """How many others one meets going from place u at tick t to place v. they, filled, ticks: of o.num."""
+    n = len(o.rest)
+    met = np.int64(0)
+    if o.rest[v, 1] == they and o.rest[v, 0] <= t + 1:
         met += 1
     if t < filled:
-        if t + 1 < room and others[(t + 1) * n + v] == stamp:
+        if t + 1 < ticks and o.at[0, (t + 1) * n + v] == they:
             met += 1
-        if u != v and others[t * n + v] == stamp and others_next[t * n + v] == u:
+        if u != v and o.at[0, t * n + v] == they and o.at[1, t * n + v] == u:
             met += 1
     return met
 
 
+@njit(cache=True, nogil=True)
+def _left(o: Others, goal: int) -> int:
+    """Tick from which nobody else is at the goal any more; -1 when somebody rests there."""
+    if o.rest[goal, 1] == o.num[THEY]:
+        return -1
+    n = len(o.rest)
+    for t in range(o.num[FILLED] - 1, -1, -1):
+        if o.at[0, t * n + goal] == o.num[THEY]:
+            return t + 1
+    return 0
+
+
 # --- search ----------------------------------------------------------------------------------------------------------
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _allowed(  # type: ignore[no-untyped-def]
-    con, con_key, con_stamp, con_tick, ahead_tick, ahead_place, row_of, steps, closed, closed_stamp, n, u, v, t, bits,
-    row,
-):  # fmt: skip
-    """Whether the constraints let one go from place u to place v, arriving at tick t."""
-    stamp = con[STAMP]
-    good = True
-    if t <= con[LAST]:
-        if con_tick[t] == stamp:
-            key = np.int64(t) * (n + 1) * n + np.int64(v) * (n + 1)
-            if _forbidden(con_key, con_stamp, stamp, key + n, bits) or (
-                u != v and _forbidden(con_key, con_stamp, stamp, key + u, bits)
-            ):
-                good = False
-        if con[MARKS] > 0 and ahead_tick[t] >= 0:
-            gap = ahead_tick[t] - t
-            if gap == 0:
-                if v != ahead_place[t]:
-                    good = False
-            else:
-                far = row_of[ahead_place[t]]
-                if far >= 0 and steps[far, v] > gap:
-                    good = False
-    if con[CLOSED] == 1 and closed_stamp[v] == stamp and t >= closed[v]:
-        good = False
-    if row >= 0 and t + steps[row, v] > con[BY]:
-        good = False
-    return good
 
 
 @njit(cache=True, nogil=True)
@@ -402,183 +433,114 @@ def search(
     h: least cost to the goal by state · bound: dearer ways are not wanted · out[0] cost, out[1] ticks, out[2]
     expansions (added to); the states are left in w.path.
     """
-    n = len(r.place_ptr) - 1
-    wait = r.wait[cls]
-    con, con_key, con_stamp, con_tick = w.con, w.con_key, w.con_stamp, w.con_tick
-    ahead_tick, ahead_place, row_of, steps = w.ahead_tick, w.ahead_place, w.row_of, w.steps
-    closed, closed_stamp = w.closed, w.closed_stamp
-    others, others_next, rest, rest_stamp = w.others, w.others_next, w.rest, w.rest_stamp
-    they, filled, ticks = w.stamp[1], w.others_len[0], w.others_len[1]
-    ptr, to, kind, place, still = r.ptr, r.to, r.kind, r.place, r.still
-    cost = r.cost[cls]
-    state, tick, gs, mets, parent, keys, items = w.state, w.tick, w.g, w.met, w.parent, w.keys, w.items
-    slot_key, slot_node, slot_stamp = w.slot_key, w.slot_node, w.slot_stamp
-    stop = w.con[LAST]
+    k, o, node, gs = w.bans, w.others, w.node, w.g
+    wait, cost = r.wait[cls], r.cost[cls]
+    free_from, base, base_at = k.con[FREE_FROM], k.con[BASE], k.con[BASE_AT]
+    stop = k.con[LAST]
     if mode != TIES:
-        stop = max(stop, w.others_len[0])
-    free_from, by, base, base_at = w.con[FREE_FROM], w.con[BY], w.con[BASE], w.con[BASE_AT]
-    goal_stamp = w.stamp[1]
+        stop = max(stop, o.num[FILLED])
     if mode == HARD:
-        if w.rest_stamp[goal] == goal_stamp:
+        left = _left(o, goal)
+        if left < 0:
             return NONE
-        for t in range(w.others_len[0] - 1, -1, -1):
-            if w.others[t * n + goal] == goal_stamp:
-                free_from = max(free_from, t + 1)
-                break
-    if stop + 2 >= len(w.con_tick):
+        free_from = max(free_from, left)
+    if stop + 2 >= len(k.by_tick):
         return FULL
-    row = -1
-    if by < FOREVER:
-        row = steps_to(r, w, goal)
-    if w.con[MARKS] > 0:
-        for t in range(w.con[LAST] + 1):
-            if w.must_stamp[t] == w.con[STAMP]:
-                steps_to(r, w, w.must[t])
-    con_bits = bits_of(len(w.con_key))
-    bits = bits_of(len(slot_key))
-    mask = len(slot_key) - 1
+    rule = _rules(r, k, goal)
+    they, filled, ticks = o.num[THEY], o.num[FILLED], o.num[ROOM]
+    bits = bits_of(len(w.slot_key))
     w.stamp[0] += 1
     stamp = w.stamp[0]
-    room = min(len(state), len(slot_key) >> 1) - 16
+    room = min(len(node), len(w.slot_key) >> 1) - 16
     f = max(h[start], free_from * wait, base)
-    if (
-        f >= FAR
-        or f > bound
-        or not _allowed(
-            con,
-            con_key,
-            con_stamp,
-            con_tick,
-            ahead_tick,
-            ahead_place,
-            row_of,
-            steps,
-            closed,
-            closed_stamp,
-            n,
-            place[start],
-            place[start],
-            0,
-            con_bits,
-            row,
-        )
-    ):
+    if f >= FAR or f > bound or not _allowed(k, rule, r.place[start], r.place[start], np.int64(0)):
         return NONE
-    state[0], tick[0], gs[0], mets[0], parent[0] = start, 0, 0, 0, -1
-    count, size, done = 1, 0, 0
-    size = push(keys, items, size, 0, 0)
-    key = np.int64(start) * (stop + 1)
-    at = slot_at(key, bits)
-    slot_stamp[at], slot_key[at], slot_node[at] = stamp, key, 0
+    node[0, STATE], node[0, TICK], node[0, MET], node[0, BEFORE] = start, 0, 0, -1
+    gs[0] = 0
+    count, size, done = 1, push(w.keys, w.items, 0, np.int64(0), np.int64(0)), 0
+    at = _slot(w, np.int64(start) * (stop + 1), stamp, bits)
+    w.slot[at, 0] = 0
+    ended = NONE
     while size > 0:
-        node = items[0]
-        size = drop_first(keys, items, size)
-        s, t, g, met = state[node], tick[node], gs[node], mets[node]
-        u = place[s]
-        if u == goal and t >= free_from and t <= by:
+        here = w.items[0]
+        size = drop_first(w.keys, w.items, size)
+        s, t, met, g = node[here, STATE], node[here, TICK], node[here, MET], gs[here]
+        u = r.place[s]
+        if u == goal and t >= free_from and t <= rule.by:
             out[0], out[1] = g, t
-            out[2] += done
-            k = node
-            while k >= 0:
-                w.path[tick[k]] = state[k]
-                k = parent[k]
-            return FOUND
-        key = np.int64(s) * (stop + 1) + min(t, stop)
-        at = slot_at(key, bits)
-        while slot_key[at] != key or slot_stamp[at] != stamp:
-            at = (at + 1) & mask
-        if slot_node[at] != node:
+            while here >= 0:
+                w.path[node[here, TICK]] = node[here, STATE]
+                here = node[here, BEFORE]
+            ended = FOUND
+            break
+        at = _slot(w, np.int64(s) * (stop + 1) + min(t, stop), stamp, bits)
+        if w.slot[at, 0] != here:
             continue
         done += 1
         if done > limit:
-            out[2] += done
-            return SPENT
-        if count + (ptr[s + 1] - ptr[s]) + 1 > room or size + 64 >= len(keys) or t + 2 >= len(w.path):
-            out[2] += done
-            return FULL
+            ended = SPENT
+            break
+        if count + (r.ptr[s + 1] - r.ptr[s]) + 1 > room or size + 64 >= len(w.keys) or t + 2 >= len(w.path):
+            ended = FULL
+            break
         t2 = t + 1
-        first = ptr[s] - 1 if t < stop else ptr[s]
-        for e in range(first, ptr[s + 1]):
-            if e < ptr[s]:
-                s2 = still[s]
-                g2 = g + wait
+        owed = max(free_from * wait, base if t2 <= base_at else 0) - t2 * wait
+        for e in range(r.ptr[s] - 1 if t < stop else r.ptr[s], r.ptr[s + 1]):
+            if e < r.ptr[s]:
+                s2, g2 = r.still[s], g + wait
             else:
-                s2 = to[e]
-                g2 = g + cost[kind[e]]
-            if h[s2] >= FAR:
+                s2, g2 = r.to[e], g + cost[r.kind[e]]
+            f = g2 + max(h[s2], owed)
+            if h[s2] >= FAR or f > bound:
                 continue
-            f = g2 + max(h[s2], max(free_from * wait, base if t2 <= base_at else 0) - t2 * wait)
-            if f > bound:
+            v = r.place[s2]
+            if not _allowed(k, rule, u, v, np.int64(t2)):
                 continue
-            v = place[s2]
-            if not _allowed(
-                con,
-                con_key,
-                con_stamp,
-                con_tick,
-                ahead_tick,
-                ahead_place,
-                row_of,
-                steps,
-                closed,
-                closed_stamp,
-                n,
-                u,
-                v,
-                t2,
-                con_bits,
-                row,
-            ):
-                continue
-            more = _meets(others, others_next, rest, rest_stamp, they, filled, ticks, n, u, v, t)
+            more = _meets(o, they, filled, ticks, u, v, np.int64(t))
             if mode == HARD and more > 0:
                 continue
             met2 = met + more
-            key = np.int64(s2) * (stop + 1) + min(t2, stop)
-            at = slot_at(key, bits)
-            while slot_stamp[at] == stamp and slot_key[at] != key:
-                at = (at + 1) & mask
-            if slot_stamp[at] == stamp:
-                old = slot_node[at]
+            at = _slot(w, np.int64(s2) * (stop + 1) + min(t2, stop), stamp, bits)
+            old = w.slot[at, 0]
+            if old >= 0:
+                met1, g1 = node[old, MET], gs[old]
                 if mode == FEW:
-                    if mets[old] < met2 or (mets[old] == met2 and gs[old] <= g2):
+                    if met1 < met2 or (met1 == met2 and g1 <= g2):
                         continue
-                elif gs[old] < g2 or (gs[old] == g2 and mets[old] <= met2):
+                elif g1 < g2 or (g1 == g2 and met1 <= met2):
                     continue
-            slot_stamp[at], slot_key[at], slot_node[at] = stamp, key, count
-            state[count], tick[count], gs[count], mets[count], parent[count] = s2, t2, g2, met2, node
-            late = 4095 - min(t2, 4095)
-            few = min(met2, 511)
-            if mode == FEW:
-                rank = (np.int64(few) << 53) | (f << 12) | late
-            else:
-                rank = (f << 21) | (np.int64(few) << 12) | late
-            size = push(keys, items, size, rank, count)
+            w.slot[at, 0] = count
+            node[count, STATE], node[count, TICK], node[count, MET], node[count, BEFORE] = s2, t2, met2, here
+            gs[count] = g2
+            late, few = 4095 - min(t2, 4095), np.int64(min(met2, 511))
+            rank = (few << 53) | (f << 12) | late if mode == FEW else (f << 21) | (few << 12) | late
+            size = push(w.keys, w.items, size, rank, count)
             count += 1
     out[2] += done
-    return NONE
+    return ended
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _slot(w: Work, key: int, stamp: int, bits: int) -> int:
+    """Where the best node of a key is kept; a new slot holds node -1."""
+    at = slot_at(key, bits)
+    mask = len(w.slot_key) - 1
+    while w.slot[at, 1] == stamp and w.slot_key[at] != key:
+        at = (at + 1) & mask
+    if w.slot[at, 1] != stamp:
+        w.slot[at, 1], w.slot_key[at], w.slot[at, 0] = stamp, key, -1
+    return at
 
 
 # --- all cheapest ways ------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True, nogil=True)
-def build_layers(r: Roads, w: Work, m: Layers, h: I64, cls: int, start: int, goal: int, cap: int, exact: bool) -> bool:
+def build_layers(r: Roads, k: Bans, m: Layers, h: I64, cls: int, start: int, goal: int, cap: int, exact: bool) -> bool:
     """Every way within a cost under the loaded constraints. exact: only ways of that very cost. False: no room."""
-    n = len(r.place_ptr) - 1
     wait = r.wait[cls]
-    con, con_key, con_stamp, con_tick = w.con, w.con_key, w.con_stamp, w.con_tick
-    ahead_tick, ahead_place, row_of, steps = w.ahead_tick, w.ahead_place, w.row_of, w.steps
-    closed, closed_stamp = w.closed, w.closed_stamp
-    free_from, by, base, base_at = w.con[FREE_FROM], w.con[BY], w.con[BASE], w.con[BASE_AT]
-    row = -1
-    if by < FOREVER:
-        row = steps_to(r, w, goal)
-    if w.con[MARKS] > 0:
-        for t in range(w.con[LAST] + 1):
-            if w.must_stamp[t] == w.con[STAMP]:
-                steps_to(r, w, w.must[t])
-    con_bits = bits_of(len(w.con_key))
+    free_from, by, base, base_at = k.con[FREE_FROM], k.con[BY], k.con[BASE], k.con[BASE_AT]
+    rule = _rules(r, k, goal)
     bits = bits_of(len(m.slot_key))
     mask = len(m.slot_key) - 1
     m.size[1] += 1
@@ -594,36 +556,16 @@ def build_layers(r: Roads, w: Work, m: Layers, h: I64, cls: int, start: int, goa
         m.ptr[at_node] = edges
         if count + (r.ptr[s + 1] - r.ptr[s]) + 1 > room or edges + 64 > len(m.to):
             return False
+        owed = max(free_from * wait, base if t < base_at else 0) - (t + 1) * wait
         for e in range(r.ptr[s] - 1, r.ptr[s + 1]):
             if e < r.ptr[s]:
-                s2 = r.still[s]
-                c = wait
+                s2, c = r.still[s], wait
             else:
-                s2 = r.to[e]
-                c = r.cost[cls, r.kind[e]]
-            if h[s2] >= FAR:
-                continue
+                s2, c = r.to[e], r.cost[cls, r.kind[e]]
             g2 = g + c
-            if g2 + max(h[s2], max(free_from * wait, base if t < base_at else 0) - (t + 1) * wait) > cap:
+            if h[s2] >= FAR or g2 + max(h[s2], owed) > cap:
                 continue
-            if not _allowed(
-                con,
-                con_key,
-                con_stamp,
-                con_tick,
-                ahead_tick,
-                ahead_place,
-                row_of,
-                steps,
-                closed,
-                closed_stamp,
-                n,
-                u,
-                r.place[s2],
-                t + 1,
-                con_bits,
-                row,
-            ):
+            if not _allowed(k, rule, u, r.place[s2], np.int64(t) + 1):
                 continue
             key = np.int64(t + 1) * len(r.place) + s2
             at = slot_at(key, bits)
@@ -641,19 +583,19 @@ def build_layers(r: Roads, w: Work, m: Layers, h: I64, cls: int, start: int, goa
     m.ptr[count] = edges
     # from the end: keep what still reaches an end
     last, first_end = 0, FOREVER
-    for k in range(count - 1, -1, -1):
-        good = m.ends[k] == 1
+    for i in range(count - 1, -1, -1):
+        good = m.ends[i] == 1
         if good:
-            first_end = min(first_end, m.tick[k])
-        for e in range(m.ptr[k], m.ptr[k + 1]):
+            first_end = min(first_end, m.tick[i])
+        for e in range(m.ptr[i], m.ptr[i + 1]):
             to = m.to[e]
-            if m.alive[to] and (not exact or m.g[to] == m.g[k] + m.cost[e]):
+            if m.alive[to] and (not exact or m.g[to] == m.g[i] + m.cost[e]):
                 good = True
             else:
                 m.to[e] = -1
         if good:
-            m.alive[k] = 1
-            last = max(last, m.tick[k])
+            m.alive[i] = 1
+            last = max(last, m.tick[i])
     m.size[0], m.size[2], m.size[3] = count, last, first_end
     return True
 

@@ -80,7 +80,7 @@ def grounds_of(graph: MotionGraph) -> Grounds:
 
 def cell_of(graph: MotionGraph) -> int:
     """Side of a cell in mm: the length of a straight step."""
-    return next((p.length_mm for p in graph.primitives if p.turn_deg == 0 and p.length_mm), 1000)
+    return next((round(p.length_mm) for p in graph.primitives if p.turn_deg == 0 and p.length_mm), 1000)
 
 
 class PlaceWork(NamedTuple):

@@ -4,7 +4,8 @@ Source: Phillips & Likhachev 2011 (SIPP), extended to motions of any duration, t
 goals with a stay at each (the last stay is forever), and to energy. A label is (state, free interval, goals reached).
 `time`: earliest arrival dominates, ties by energy; complete, optimal in time. `energy`: a label that arrives earlier
 does not dominate, for waiting costs standby and a restart; Pareto labels, standing labels depart at every tick while
-anything ahead can still change. Complete, optimal in energy. Cost: a heap operation per label and motion.
+anything ahead can still change; ties by arrival. Complete, optimal in energy, then in time. Cost: a heap operation per
+label and motion.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from engine.compiled import lean
 from engine.planners.kernels.heap import drop_first, push
-from engine.planners.kernels.tables import FAR, TICK
+from engine.planners.kernels.tables import ENERGY, FAR, TICK
 from engine.traffic import HORIZON, STAY, Claims, Ground, departure, gap_end
 from engine.types import FOREVER
 
@@ -189,7 +190,7 @@ def search_time(
 def dominated(
     w: Work, key: int, stamp: int, t: int, mj: int, moving: bool, standby: int, restart: int, calm: int
 ) -> bool:  # fmt: skip
-    """True when a label at this key can do all that a new one at (t, mJ) can, at no more energy."""
+    """True when a label at this key can do all that a new one at (t, mJ) can, at no more energy and then no later."""
     if w.seen[key] != stamp:
         return False
     at = w.best[key]
@@ -200,10 +201,16 @@ def dominated(
             reach = w.energy[at] + np.int64(wait) * standby
             if moving and wait > 0:
                 reach += restart
-            if reach <= mj:
+            if reach < mj or (reach == mj and w.tick[at] <= t):
                 return True
         at = w.chain[at]
     return False
+
+
+@lean
+def worth(mj: int, ticks: int) -> int:
+    """Energy and time packed so that time breaks ties in energy."""
+    return (np.int64(mj) << ENERGY) + ticks
 
 
 @lean
@@ -219,7 +226,8 @@ def search_energy(
     goals: I32, stays: I32, pool: I64, slots: I32, kind_mj: I64, standby: int, restart: int, calm: int, limit: int,
     out: I64,
 ) -> int:  # fmt: skip
-    """Least energy through all goals. calm: tick after which no claim starts or ends; restart: most a stop can cost.
+    """Least energy through all goals, the earliest among equals. calm: tick after which no claim starts or ends
+    · restart: most a stop can cost · pool: backward tables of packed (mJ, ticks).
 
     A standing label in the heap stands for departing exactly at its present tick; popped, it moves on by one tick.
     Its node keeps the tick at which it came to stand; the heap item's tick is tick[node] + waited.
@@ -236,7 +244,7 @@ def search_energy(
             least = min(least, pool[slots[i + 1], s])
         if least >= FAR:
             return NO_PATH
-        rest[i] = rest[i + 1] + least + np.int64(stays[i]) * standby
+        rest[i] = rest[i + 1] + least + ((np.int64(stays[i]) * standby) << ENERGY) + stays[i]
     if pool[slots[0], start] >= FAR:
         return NO_PATH
     waited = w.waited
@@ -277,7 +285,7 @@ def search_energy(
                     waited[n] = 0
                     if not last:
                         add_label(w, n, key, stamp)
-                    size = push(w.keys, w.items, size, spent + h, n)
+                    size = push(w.keys, w.items, size, worth(spent, t2 - t0) + h, n)
                     n += 1
         for e in range(g.edge_ptr[s], g.edge_ptr[s + 1]):
             kind = g.edge_kind[e]
@@ -307,12 +315,12 @@ def search_energy(
             w.parent[n], w.edge[n], w.depart[n] = node, e, t
             waited[n] = 0
             add_label(w, n, key, stamp)
-            size = push(w.keys, w.items, size, spent + h + rest[leg], n)
+            size = push(w.keys, w.items, size, worth(spent, t2 - t0) + h + rest[leg], n)
             n += 1
         if t + 1 + margin < until and t < calm:
             if s & 1 == 0:
                 waited[node] += 1
-                size = push(w.keys, w.items, size, f + standby, node)
+                size = push(w.keys, w.items, size, f + worth(standby, 1), node)
             else:
                 # it comes to stand: a label of its own, one tick on
                 s2 = s & ~1
@@ -323,7 +331,7 @@ def search_energy(
                     w.parent[n], w.edge[n], w.depart[n] = node, -1, t
                     waited[n] = 0
                     add_label(w, n, key, stamp)
-                    size = push(w.keys, w.items, size, spent + pool[slots[leg], s2] + rest[leg], n)
+                    size = push(w.keys, w.items, size, worth(spent, t + 1 - t0) + pool[slots[leg], s2] + rest[leg], n)
                     n += 1
     out[1] = expanded
     return NO_PATH

@@ -1,7 +1,8 @@
 """Backward tables: the exact cost from every state to a goal place on an empty floor, by Dijkstra over reversed edges.
 
-Two layers: `time` packs (ticks, mJ) into one integer so that ties in time are broken by energy, on poses (a state
-pair stopped/moving counts as one, taken as moving: a lower bound); `energy` is in mJ on states, exact.
+Two layers, each packing two costs into one integer so that the second breaks ties of the first: `time` is (ticks, mJ)
+on poses (a state pair stopped/moving counts as one, taken as moving: a lower bound); `energy` is (mJ, ticks) on states,
+exact.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ FAR = np.int64(2**62)
 
 TICK = 40
 """Bits of the energy part of a packed (ticks, mJ) cost."""
+
+ENERGY = 22
+"""Bits of the time part of a packed (mJ, ticks) cost: as many as HORIZON has."""
 
 
 @lean
@@ -117,3 +121,8 @@ class Tables:
 def packed(ticks: NDArray[np.int32], mj: NDArray[np.int64]) -> NDArray[np.int64]:
     """(ticks, mJ) as one integer that orders by time, then energy."""
     return (ticks.astype(np.int64) << TICK) + mj
+
+
+def packed_energy(ticks: NDArray[np.int32], mj: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(mJ, ticks) as one integer that orders by energy, then time."""
+    return (mj << ENERGY) + ticks

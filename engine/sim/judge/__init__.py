@@ -12,11 +12,11 @@ from engine.sim.judge.energy import energy
 from engine.sim.judge.motion import blocked, continuity, edges_of, existence
 from engine.sim.judge.occupancy import occupancy
 from engine.sim.judge.orders import orders
-from engine.sim.judge.plan import judge_plan
+from engine.sim.judge.plan import judge_plan, judge_plan_file
 from engine.sim.judge.record import RunLog, record_of
 from engine.world.floor import World
 
-__all__ = ["Breach", "BreachKind", "judge", "judge_plan"]
+__all__ = ["Breach", "BreachKind", "judge", "judge_plan", "judge_plan_file"]
 
 
 def judge(reader: RunLog, scenario: Scenario, world: World) -> list[Breach]:
@@ -31,10 +31,10 @@ def judge(reader: RunLog, scenario: Scenario, world: World) -> list[Breach]:
         [
             *continuity(r, world),
             *existence(r, edge, world),
-            *blocked(r, reader, world),
+            *blocked(r, edge, reader, world),
             *occupancy(r, edge, world),
             *orders(r, reader, scenario, world),
             *energy(r, reader, scenario, world.graph),
-            *commands(r, reader, world),
+            *commands(r, reader, scenario, world),
         ]
     )

@@ -2,35 +2,37 @@
 
 from __future__ import annotations
 
-import json
+import math
 from collections import Counter
 from collections.abc import Iterator
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
+from engine.scenario import Scenario
 from engine.sim.judge.breach import REPORTED, Breach, BreachKind
+from engine.sim.judge.levels import Given, accepted, levels
+from engine.sim.judge.motion import name
 from engine.sim.judge.record import Record, RunLog, last_before, spans
-from engine.types import Activity, OrderState
+from engine.types import Activity, OrderState, Task
 from engine.world.floor import World
 
-Given = list[tuple[int, dict[str, Any]]]
-"""Accepted commands with their ticks, in order."""
+IMPOSSIBLE = 1e-12
+"""Numbers of arrivals less likely than this are no chance."""
+_UPSETS = ("breakdown", "stranded", "deadlock", "stalled", "forked")
 
 
-def commands(r: Record, log: RunLog, world: World) -> Iterator[Breach]:
+def commands(r: Record, log: RunLog, scenario: Scenario, world: World) -> Iterator[Breach]:
     """A paused or failed vehicle starts no motion, a charger that is out charges nobody, and so on."""
-    given: Given = []
-    t = log.table("commands")
-    for tick, text, accepted in zip(t["tick"].tolist(), t["command"], t["accepted"].tolist(), strict=True):
-        if accepted:
-            given.append((tick, json.loads(text)))
+    given = accepted(log)
     yield from islice(_held(r, given), REPORTED)
     yield from islice(_chargers(r, given, world), REPORTED)
     yield from islice(_withdrawn(log, given), REPORTED)
     yield from islice(_blocks(log, given), REPORTED)
     yield from islice(_new_orders(log, given), REPORTED)
+    yield from islice(_rates(log, given, scenario, r.end), REPORTED)
+    yield from islice(_sent(r, log, given, world), REPORTED)
+    yield from levels(r, log, given, scenario, world)
 
 
 def _spans(given: Given, on: str, off: str, subject: str) -> dict[int, list[tuple[int, int]]]:
@@ -96,3 +98,62 @@ def _new_orders(log: RunLog, given: Given) -> Iterator[Breach]:
         if made[wanted] < 0:
             text = f"the order from station {wanted[1]} to {wanted[2]} was accepted at tick {tick} and never created"
             yield Breach(BreachKind.COMMAND, tick, (), -1, text)
+
+
+def _rates(log: RunLog, given: Given, scenario: Scenario, end: int) -> Iterator[Breach]:
+    """Orders arrive at the rate that was set: their number is one that Poisson arrivals may have."""
+    t, e = log.table("orders"), log.table("events")
+    mine = (t["source"] == 0) & (t["state"] == OrderState.OPEN)
+    first = np.unique(t["order"][mine], return_index=True)[1]  # an order given back is open again
+    arrivals = np.sort(np.asarray(t["tick"], np.int64)[mine][first])
+    forks = [int(tick) for tick, kind in zip(e["tick"], e["kind"], strict=True) if kind == "forked"]
+    changes = [(tick, float(c["per_h"])) for tick, c in given if c["do"] == "rate"]
+    limited = scenario.orders.limit is not None
+    for i, (given_at, per_h) in enumerate(changes):
+        tick = max(given_at, log.first_tick)
+        until = min([t for t in (*(c[0] for c in changes[i + 1 :]), *forks) if t >= tick], default=end)
+        n = int(np.searchsorted(arrivals, until, side="right") - np.searchsorted(arrivals, tick, side="right"))
+        mean = per_h / 3600 * scenario.time.tick_s * (until - tick)
+        if arrivals_bound(n, mean) < IMPOSSIBLE and not (limited and n < mean):
+            text = f"{n} orders arrive between ticks {tick} and {until}; at {per_h:g} per hour {mean:.1f} are expected"
+            yield Breach(BreachKind.COMMAND, until, (), -1, text)
+
+
+def arrivals_bound(n: int, mean: float) -> float:
+    """Chernoff's bound of the chance of n or more, or of n or fewer, Poisson arrivals, whichever side n is on."""
+    if n == 0 or mean == 0:
+        return math.exp(-mean) if n == 0 else 0.0
+    return math.exp(min(0.0, n - mean - n * math.log(n / mean)))
+
+
+def _sent(r: Record, log: RunLog, given: Given, world: World) -> Iterator[Breach]:
+    """A vehicle that is sent has a plan to the place, and its next plan begins there or it rests there.
+
+    Not so when plans were given up on the way: somebody broke down or was blocked, or a deadlock was resolved.
+    """
+    p, e = log.table("plans"), log.table("events")
+    upsets = [int(t) for t, kind in zip(e["tick"], e["kind"], strict=True) if kind in _UPSETS]
+    upsets += [t for t, c in given if c["do"] in ("block", "charger out", "fail", "repair")]
+    upsets += r.t0[r.kind == Activity.FAULT].tolist()
+    values, offsets = p["places"]
+    tick, found = np.asarray(p["tick"], np.int64), np.diff(offsets) > 0
+    for when, command in given:
+        if command["do"] != "send" or when < r.first_tick:
+            continue
+        v, place = int(command["vehicle"]), int(command["place"])
+        mine = np.nonzero((p["vehicle"] == v) & found & (tick >= when))[0].tolist()
+        sent = [i for i in mine if tick[i] == when and p["task"][i] == Task.SENT]
+        to_it = [i for i in sent if values[offsets[i + 1] - 1] == place]
+        where = name(world, place)
+        if not to_it:
+            text = f"vehicle {v} was sent to {where} at tick {when} and has no plan to it"
+            yield Breach(BreachKind.COMMAND, when, (v,), place, text)
+            continue
+        later = [i for i in mine if i > to_it[-1]]
+        until = int(tick[later[0]]) if later else r.end
+        at = int(r.before(np.array([v]), np.array([until]))[0])
+        ends_at = int(values[offsets[later[0]]]) if later else (int(r.b[at]) if at >= 0 else place)
+        rests = later or (at >= 0 and r.kind[at] in (Activity.REST, Activity.CHARGE))
+        if rests and ends_at != place and not any(when <= t <= until for t in upsets):
+            text = f"vehicle {v} was sent to {where} at tick {when} and is at {name(world, ends_at)} at tick {until}"
+            yield Breach(BreachKind.COMMAND, until, (v,), place, text)

@@ -8,7 +8,7 @@ per second while moving. Each component of a motion is rounded once, half to eve
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -18,9 +18,10 @@ from engine.sim.judge.record import I64, Record, RunLog
 from engine.types import COMPONENTS, Activity, Component
 from engine.world.motion_graph import MotionGraph, Primitive
 
-_DRIVE = {
-    "wheel_m": 0.1, "track_m": 0.6, "gear": 30.0, "gear_efficiency": 0.85, "r_ohm": 0.4898, "ce_vs": 0.0327,
-    "mu": 0.015, "g": 9.81, "accel_mps2": 0.5, "regen": 0.0, "length_m": 0.6, "width_m": 0.6, "standby_w": 20.0,
+_LIAN2024 = {
+    "mu": 0.015, "g": 9.81, "standby_w": 20.0, "wheel_m": 0.1, "track_m": 0.5, "gear": 30.0, "gear_efficiency": 0.85,
+    "length_m": 0.5, "width_m": 0.5, "resistance_ohm": 0.4898, "emf_vs": 0.0327, "accel_mps2": 0.5, "brake_mps2": 0.5,
+    "recovery": 0.0,
 }  # fmt: skip
 _CHARGING = (Component.CHARGED, Component.CHARGER_LOSS)
 
@@ -40,15 +41,25 @@ def energy(r: Record, log: RunLog, scenario: Scenario, graph: MotionGraph) -> It
 
 
 def costs(scenario: Scenario, graph: MotionGraph) -> I64 | None:
-    """Energy in mJ of (primitive, empty or loaded, component); None for a demand model that the judge does not know."""
-    fleet = scenario.fleet
+    """Energy in mJ of (mass, primitive, empty or loaded, component); None for a demand model that the judge does not
+    know. Vehicles have the masses in turn.
+    """
+    masses = scenario.fleet.masses_kg or (scenario.fleet.mass_kg,)
+    each = [_costs(scenario, graph, mass) for mass in masses]
+    return None if any(c is None for c in each) else np.stack([c for c in each if c is not None])
+
+
+def _costs(scenario: Scenario, graph: MotionGraph, mass_kg: float) -> I64 | None:
     out = np.zeros((len(graph.primitives), 2, len(COMPONENTS)), np.int64)
     for k, primitive in enumerate(graph.primitives):
-        for load, mass in enumerate((fleet.mass_kg, fleet.mass_kg + fleet.payload_kg)):
+        for load, mass in enumerate((mass_kg, mass_kg + scenario.fleet.payload_kg)):
             if scenario.energy.demand == "xu2025":
-                parts = _xu2025(primitive, mass, scenario)
-            elif scenario.energy.demand == "drive":
-                parts = _drive(primitive, mass, scenario)
+                parts = xu2025_joules(primitive, mass, scenario.energy.parameters, scenario.motion.speed_mps)
+            elif scenario.energy.demand == "lian2024":
+                known = _lian2024(primitive, mass, scenario)
+                if known is None:
+                    return None
+                parts = known
             elif scenario.energy.demand == "constant":
                 percent = scenario.energy.parameters.get("percent_per_s", 1.0)
                 joules = percent / 100 * scenario.battery.capacity_wh * 3600 * primitive.ticks * scenario.time.tick_s
@@ -60,10 +71,12 @@ def costs(scenario: Scenario, graph: MotionGraph) -> I64 | None:
     return out
 
 
-def _xu2025(primitive: Primitive, mass_kg: float, scenario: Scenario) -> dict[Component, float]:
-    given = scenario.energy.parameters
+def xu2025_joules(
+    primitive: Primitive, mass_kg: float, given: Mapping[str, float], speed_mps: float
+) -> dict[Component, float]:
+    """Energy of a motion by component, standby excluded. given: parameters over the defaults."""
     mu, g = given.get("mu", 0.01), given.get("g", 9.81)
-    v_mps, omega = given.get("v_mps", scenario.motion.speed_mps), given.get("omega", math.pi / 2)
+    v_mps, omega = given.get("v_mps", speed_mps), given.get("omega", math.pi / 2)
     length_m, width_m = given.get("length_m", 1.2), given.get("width_m", 0.9)
     inertia = mass_kg * (length_m * length_m + width_m * width_m) / 12
     return {
@@ -73,65 +86,62 @@ def _xu2025(primitive: Primitive, mass_kg: float, scenario: Scenario) -> dict[Co
     }
 
 
-def _drive(primitive: Primitive, mass_kg: float, scenario: Scenario) -> dict[Component, float]:
-    """Two motors with R and C_e over a gear, at constant acceleration, phase by phase."""
-    given = {**_DRIVE, "v_mps": scenario.motion.speed_mps, **scenario.energy.parameters}
-    eff, v, accel, track = given["gear_efficiency"], given["v_mps"], given["accel_mps2"], given["track_m"]
-    drag = given["mu"] * mass_kg * given["g"]
-    ampere_per_n = given["wheel_m"] / (2 * given["gear"] * given["ce_vs"])
+def _lian2024(primitive: Primitive, mass_kg: float, scenario: Scenario) -> dict[Component, float] | None:
+    """Two motors with R and C_e behind a gear, phase by phase; None where braking motors or slow wheels need sampling.
+
+    A start also bears the stop that follows it, and both give back the cruising that their ramps replace. In a turn
+    the wheels speed up, keep on and slow down for a third of the time each.
+    """
+    given = {**_LIAN2024, "v_mps": scenario.motion.speed_mps, **scenario.energy.parameters}
+    if given["recovery"]:
+        return None
+    eff, v, half = given["gear_efficiency"], given["v_mps"], given["track_m"] / 2
+    drag = given["mu"] * mass_kg * given["g"] / 2  # of one wheel
+    ampere_per_n = given["wheel_m"] / given["gear"] / given["emf_vs"] / eff
+    metres, angle = primitive.length_mm / 1000, math.radians(primitive.turn_deg)
     took_s = primitive.ticks * scenario.time.tick_s
 
     def heat(force: float, seconds: float) -> float:
-        amps = force * ampere_per_n * (1 / eff if force > 0 else eff)
-        return 2 * given["r_ohm"] * amps * amps * seconds
+        """Copper loss of one motor that pulls; one that would have to brake is off."""
+        return given["resistance_ohm"] * (force * ampere_per_n) ** 2 * seconds if force > 0 else 0.0
 
-    def braked(force: float, metres: float, seconds: float) -> float:
-        return max(force * metres * eff - heat(-force, seconds), 0.0) if force > 0 else 0.0
-
-    inertia = mass_kg * (given["length_m"] ** 2 + given["width_m"] ** 2) / 12
-    angle, metres, back = math.radians(primitive.turn_deg), primitive.length_mm / 1000, 0.0
-    to_speed_m, to_speed_s = v * v / (2 * accel), v / accel
-    if primitive.pivot:
-        # thirds of the time: faster, steady, slower; the steady speed is 3/2 of the mean
-        third, omega = took_s / 3, 1.5 * angle / took_s
-        # forces as if both wheels pulled straight on: a moment of f·track/2
-        swing, drag_there = 2 * inertia * omega / third / track, drag
-        out = {
-            Component.TURNING: inertia * omega * omega / 2 / eff,
-            Component.ROLLING: drag * track / 2 * angle / eff,
-            Component.COPPER: heat(drag_there + swing, third) + heat(drag_there, third),
-        }
-        if swing > drag_there:
-            out[Component.ROLLING] *= 3 / 4
-            back += braked(swing - drag_there, track / 2 * angle / 4, third)
-        else:
-            out[Component.TURNING] -= swing * track / 2 * angle / 4 / eff
-            out[Component.COPPER] += heat(drag_there - swing, third)
-    else:
-        out = {
-            Component.ROLLING: drag * metres / eff,
-            Component.TURNING: inertia * (angle / took_s) ** 2 / 2 / eff,
-            Component.COPPER: heat(drag, metres / v),
-        }
+    out = {Component.ROLLING: 2 * drag * metres / eff, Component.COPPER: 2 * heat(drag, metres / v)}
     if primitive.starts:
-        out[Component.STARTING] = mass_kg * v * v / 2 / eff
-        out[Component.COPPER] += heat(drag + mass_kg * accel, to_speed_s) - heat(drag, to_speed_m / v)
-    if primitive.stops:
-        back += braked(mass_kg * accel - drag, to_speed_m, to_speed_s)
-    out[Component.RECOVERED] = -min(given["regen"] * back, sum(out.values()))
+        up, down = v / given["accel_mps2"], v / given["brake_mps2"]
+        pull, slow = mass_kg * given["accel_mps2"] / 2, drag - mass_kg * given["brake_mps2"] / 2
+        copper = heat(drag + pull, up) + heat(slow, down) - heat(drag, (up + down) / 2)
+        work = (drag + pull) * v * up / 2 + max(slow, 0.0) * v * down / 2 - drag * v * (up + down) / 2
+        out[Component.COPPER] += 2 * copper
+        out[Component.STARTING] = 2 * work / eff
+    if primitive.turn_deg:
+        rolls = 0.0 if primitive.pivot or primitive.turn_deg == 180 else v
+        third, top = took_s / 3, 1.5 * angle / took_s
+        swing = mass_kg * (given["length_m"] ** 2 + given["width_m"] ** 2) / 12 * top / third / given["track_m"]
+        if 0 < rolls <= top * half:
+            return None
+        copper = work = 0.0
+        for side in (-1.0, 1.0):
+            # along the wheel's own way: the outer wheel is pushed on by speeding up, the inner one of a roll held back
+            own = 1.0 if rolls == 0 else side
+            for push, mean in ((swing, 0.5), (0.0, 1.0), (-swing, 0.5)):
+                force, speed = drag + own * push, abs(rolls + side * mean * top * half)
+                copper += heat(force, third) - (heat(drag, third) if rolls else 0.0)
+                work += max(force, 0.0) * speed * third
+        out[Component.COPPER] += copper
+        out[Component.TURNING] = (work - 2 * drag * rolls * took_s) / eff
     return out
 
 
 def standby_mj(scenario: Scenario) -> int:
     """Standby energy per tick."""
-    fallback = {"xu2025": 30.0, "drive": _DRIVE["standby_w"]}.get(scenario.energy.demand, 0.0)
+    fallback = {"xu2025": 30.0, "lian2024": _LIAN2024["standby_w"]}.get(scenario.energy.demand, 0.0)
     return round(scenario.energy.parameters.get("standby_w", fallback) * scenario.time.tick_s * 1000)
 
 
 def _motions(r: Record, cost: I64, graph: MotionGraph) -> Iterator[Breach]:
     """The energy logged with each motion."""
-    total = cost.sum(2)
-    expected = np.where(r.moves, total[r.primitive, np.clip(r.loaded, 0, 1)], 0)
+    total = cost.sum(3)
+    expected = np.where(r.moves, total[r.vehicle % len(cost), r.primitive, np.clip(r.loaded, 0, 1)], 0)
     cut = np.nonzero(r.cut)[0]
     if len(cut):
         expected[cut] = _part(r, cut, cost, graph, r.t1[cut]).sum(1)
@@ -145,7 +155,7 @@ def _motions(r: Record, cost: I64, graph: MotionGraph) -> Iterator[Breach]:
 
 def _part(r: Record, rows: I64, cost: I64, graph: MotionGraph, until: I64) -> I64:
     """Energy (rows, components) of motions up to a tick: spread over their ticks by cumulative floor."""
-    whole = cost[r.primitive[rows], np.clip(r.loaded[rows], 0, 1)] * r.moves[rows, None]
+    whole = cost[r.vehicle[rows] % len(cost), r.primitive[rows], np.clip(r.loaded[rows], 0, 1)] * r.moves[rows, None]
     ticks = np.maximum(np.asarray(graph.kind_ticks, np.int64)[r.primitive[rows]], 1)
     passed = np.clip(np.minimum(until, r.t1[rows]) - r.t0[rows], 0, ticks)
     return np.asarray(whole * passed[:, None] // ticks[:, None])
@@ -179,11 +189,11 @@ def _sums(r: Record, s: _Samples, cost: I64, graph: MotionGraph) -> I64:
     known = at >= 0
     part = _part(r, np.maximum(at, 0), cost, graph, s.tick)
     out = np.zeros_like(s.ledger)
-    kinds = r.primitive * 2 + np.clip(r.loaded, 0, 1)
+    kinds = (r.vehicle % len(cost), r.primitive, np.clip(r.loaded, 0, 1))
     cut = np.nonzero(r.cut)[0]
     short = _part(r, cut, cost, graph, r.t1[cut]) if len(cut) else None
-    for c in range(cost.shape[2]):
-        table = cost[:, :, c].reshape(-1)
+    for c in range(cost.shape[3]):
+        table = cost[:, :, :, c]
         if not table.any():
             continue
         each = np.where(r.moves, table[kinds], 0)

@@ -108,21 +108,33 @@ def existence(r: Record, edge: I64, world: World) -> Iterator[Breach]:
         yield Breach(BreachKind.DURATION, t, (v,), int(r.b[i]), text)
 
 
-def blocked(r: Record, log: RunLog, world: World) -> Iterator[Breach]:
-    """No motion starts into a place while it is blocked."""
+def blocked(r: Record, edge: I64, log: RunLog, world: World) -> Iterator[Breach]:
+    """No motion starts into a place, or over a corner, while it is blocked."""
     rows = log.table("blocks")
     place, tick = np.asarray(rows["place"], np.int64), np.asarray(rows["tick"], np.int64)
     if len(place) == 0:
         return
     order = np.lexsort((np.arange(len(place)), tick, place))
     key, flag = (place[order] << 32) + tick[order], np.asarray(rows["blocked"])[order]
-    drives = r.moves & (r.a != r.b)
-    closed = np.zeros(r.n, np.bool_)
-    closed[drives] = last_before(key, flag, r.b[drives], r.t0[drives], 0) == 1
-    for i in _some(closed):
-        v, t, b = int(r.vehicle[i]), int(r.t0[i]), int(r.b[i])
-        text = f"vehicle {v} drives into {name(world, b)} at tick {t}, which is blocked"
-        yield Breach(BreachKind.BLOCKED, t, (v,), b, text)
+    row = np.nonzero(r.moves & (r.a != r.b))[0]
+    where = r.b[row]
+    over, corner = corners_of(edge, world.graph)
+    row, where = np.concatenate([row, over]), np.concatenate([where, corner])
+    closed = last_before(key, flag, where, r.t0[row], 0) == 1
+    for i, place in sorted(zip(row[closed].tolist(), where[closed].tolist(), strict=True))[:REPORTED]:
+        v, t, word = int(r.vehicle[i]), int(r.t0[i]), "into" if place == r.b[i] else "over"
+        text = f"vehicle {v} drives {word} {name(world, place)} at tick {t}, which is blocked"
+        yield Breach(BreachKind.BLOCKED, t, (v,), place, text)
+
+
+def corners_of(edge: I64, graph: MotionGraph) -> tuple[I64, I64]:
+    """(rows, places): the corners that the motions of a record pass over, a row for each."""
+    rows = np.nonzero(edge >= 0)[0]
+    count = np.diff(graph.sweep_ptr).astype(np.int64)[edge[rows]]
+    rows, count = rows[count > 0], count[count > 0]
+    owner = np.repeat(rows, count)
+    step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+    return owner, graph.sweep[graph.sweep_ptr[edge[owner]] + step].astype(np.int64)
 
 
 def name(world: World, place: int) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.sim.judge.breach import REPORTED, Breach, BreachKind
-from engine.sim.judge.motion import name
+from engine.sim.judge.motion import corners_of, name
 from engine.sim.judge.record import I64, Mask, Record
 from engine.types import FOREVER, Occupancy
 from engine.world.floor import World
@@ -83,13 +83,7 @@ def _stays(r: Record, margin: int, hold: bool) -> Held:
 
 def _corners(r: Record, edge: I64, world: World) -> Held:
     """Corners of every diagonal under way."""
-    graph = world.graph
-    rows = np.nonzero(edge >= 0)[0]
-    count = (graph.sweep_ptr[1:] - graph.sweep_ptr[:-1]).astype(np.int64)[edge[rows]]
-    rows, count = rows[count > 0], count[count > 0]
-    owner = np.repeat(rows, count)
-    step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-    place = graph.sweep[graph.sweep_ptr[edge[owner]] + step].astype(np.int64)
+    owner, place = corners_of(edge, world.graph)
     return Held(place, r.t0[owner], r.t1[owner], r.vehicle[owner], np.ones(len(owner), np.bool_))
 
 

@@ -1,15 +1,23 @@
-"""Timed plans on a motion graph, as classical multi-agent path finding writes them: a place per tick and vehicle."""
+"""Timed plans as classical multi-agent path finding writes them: a place per tick and vehicle; and plan files, whose
+energies and costs are counted anew from the cells alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.scenario.plan_file import HEADINGS, PlanFile, PlanVehicle
 from engine.sim.judge.breach import Breach, BreachKind, in_order
+from engine.sim.judge.energy import xu2025_joules
 from engine.types import Occupancy
-from engine.world.motion_graph import MotionGraph
+from engine.world.motion_graph import MotionGraph, Primitive
+
+STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+"""One cell in each of HEADINGS, y upwards."""
 
 
 def judge_plan(
@@ -39,6 +47,55 @@ def judge_plan(
     found += _steps(graph, at, set(blocked))
     found += _meetings(graph, at, occupancy)
     return in_order(found)
+
+
+def judge_plan_file(plan: PlanFile) -> list[Breach]:
+    """Breaches of a plan file: of the rules of motion, and of what it says of its energy and cost."""
+    instance = plan.instance()
+    graph = instance.graph()
+    ys, xs = np.nonzero(instance.free)
+    place = {cell: p for p, cell in enumerate(zip(xs.tolist(), ys.tolist(), strict=True))}
+    paths = [[place.get(plan.up(cell), -1) for cell in vehicle.path] for vehicle in plan.vehicles]
+    ends = [[place[cell] for cell in cells] for cells in (instance.starts, instance.goals)]
+    found = judge_plan(graph, paths, starts=ends[0], goals=ends[1])
+    return in_order([*found, *_claims(plan, {p.name: p for p in graph.primitives})])
+
+
+def _claims(plan: PlanFile, primitives: dict[str, Primitive]) -> Iterator[Breach]:
+    last = max(len(vehicle.path) for vehicle in plan.vehicles) - 1
+    energies = [path_mj(vehicle, plan.energy, primitives) for vehicle in plan.vehicles]
+    for v, (vehicle, right) in enumerate(zip(plan.vehicles, energies, strict=True)):
+        if right is not None and right != vehicle.energy_mj:
+            text = f"vehicle {v} is said to use {vehicle.energy_mj} mJ; {right} are right"
+            yield Breach(BreachKind.ENERGY, last, (v,), -1, text)
+    ticks = sum(len(vehicle.path) - 1 for vehicle in plan.vehicles)
+    if plan.objective == "time" and plan.cost != ticks:
+        text = f"the plan is said to cost {plan.cost} ticks; {ticks} are right"
+        yield Breach(BreachKind.DURATION, last, (), -1, text)
+    total = sum(e for e in energies if e is not None)
+    if plan.objective == "energy" and None not in energies and plan.cost != total:
+        yield Breach(BreachKind.ENERGY, last, (), -1, f"the plan is said to cost {plan.cost} mJ; {total} are right")
+
+
+def path_mj(vehicle: PlanVehicle, energy: Mapping[str, float], primitives: dict[str, Primitive]) -> int | None:
+    """Energy of a path from its cells alone; None when it leaps. Waits keep the heading and cost standby."""
+    standby = round(energy["standby_w"] * 1000)
+    facing, moving, total = HEADINGS.index(vehicle.heading), False, 0
+    for (x, y), (x2, y2) in pairwise(vehicle.path):
+        total += standby
+        step = (x2 - x, y - y2)
+        if step == (0, 0):
+            moving = False
+            continue
+        if step not in STEPS:
+            return None
+        ahead = STEPS.index(step)
+        turn = ("straight", "turn", "reverse", "turn")[(ahead - facing) % 4]
+        motion = primitives[turn if moving else f"start {turn}"]
+        parts = xu2025_joules(motion, vehicle.mass_kg, energy, energy["v_mps"])
+        total += sum(round(joules * 1000) for joules in parts.values())
+        facing, moving = ahead, True
+    return total
 
 
 def _rested(path: NDArray[np.int64], length: int) -> NDArray[np.int64]:

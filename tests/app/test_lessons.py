@@ -1,0 +1,312 @@
+"""The lessons: what they play is what the planners did, and every address gives a floor or a sentence."""
+
+from __future__ import annotations
+
+import base64
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.lessons import LESSONS, base, lesson, search, tree
+from engine.errors import BadInput
+from tests import naive_mapf2 as naive
+from tests.naive_mapf import joint_optimum
+
+TRIALS = [
+    f"{name}.{heuristic}.{tie}"
+    for name, choice in search.ALGORITHMS.items()
+    for heuristic in choice.heuristics
+    for tie in choice.ties
+]
+EXACT = [text for text in TRIALS if text.split(".")[0] in ("eea", "dijkstra-energy")]
+
+
+def columns(packed: dict[str, str]) -> dict[str, list[int]]:
+    return {name: np.frombuffer(base64.b64decode(text), "<i4").tolist() for name, text in packed.items()}
+
+
+def query_of(free: np.ndarray, start: naive.Cell, goal: naive.Cell, panels: str) -> dict[str, str]:
+    ends = {"start": f"{start[0]}.{start[1]}", "goal": f"{goal[0]}.{goal[1]}"}
+    return {"map": base.floor_text(free), **ends, "panels": panels}
+
+
+@st.composite
+def floors(draw: st.DrawFn) -> tuple[np.ndarray, naive.Cell, naive.Cell]:
+    """A small floor and two different free cells, which may not reach each other."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    width, height = draw(st.integers(2, 8)), draw(st.integers(2, 8))
+    free = rng.random((height, width)) >= draw(st.sampled_from([0.0, 0.2, 0.4]))
+    start, goal = (int(n) for n in rng.choice(width * height, 2, replace=False))
+    free.ravel()[[start, goal]] = True
+    return free, (start % width, start // width), (goal % width, goal // width)
+
+
+# -- search -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("panel", TRIALS)
+@settings(max_examples=8)
+@given(floors())
+def test_a_playback_is_the_search(panel: str, question: tuple[np.ndarray, naive.Cell, naive.Cell]) -> None:
+    free, start, goal = question
+    answer = search.answer(query_of(free, start, goal, panel))
+    told = answer["panels"][0]
+    rows, entries, path = columns(told["rows"]), columns(told["entries"]), columns(told["path"])
+    width = free.shape[1]
+    assert told["solved"] is (naive.steps(free, start, goal) is not None)
+    joules = told["unit"] == "J"
+    for i, by in enumerate(rows["by"]):
+        # each expansion follows from an earlier one, a cell away or on the spot
+        assert by < i
+        assert rows["energy"][i] == rows["g"][i] or not joules
+        if by < 0:
+            assert rows["cell"][i] == start[0] + width * start[1]
+            continue
+        assert (
+            abs(rows["cell"][i] % width - rows["cell"][by] % width)
+            + abs(rows["cell"][i] // width - rows["cell"][by] // width)
+            == rows["steps"][i] - rows["steps"][by]
+        )
+        assert rows["g"][i] > rows["g"][by]
+    expanded = {row: i for i, row in enumerate(entries["row"]) if row >= 0}
+    assert sorted(expanded) == list(range(len(rows["g"])))
+    for row, i in expanded.items():
+        # what was put on the open list is what was taken from it
+        for name in ("cell", "heading", "g", "h"):
+            assert entries[name][i] == rows[name][row]
+        assert entries["at"][i] == rows["by"][row] < entries["until"][i] == row
+    for i, waiting in enumerate(rows["open"]):
+        useful = sum(
+            at < i and (until < 0 or until > i) for at, until in zip(entries["at"], entries["until"], strict=True)
+        )
+        assert useful <= waiting
+    if told["solved"]:
+        assert path["cell"][0] == start[0] + width * start[1]
+        assert path["cell"][-1] == goal[0] + width * goal[1]
+        assert path["energy"][-1] == told["energy_mj"]
+        assert told["energy_mj"] == told["cost"] or not joules
+
+
+@settings(max_examples=40)
+@given(floors(), st.sampled_from(EXACT))
+def test_the_goal_costs_what_it_must(question: tuple[np.ndarray, naive.Cell, naive.Cell], energy_panel: str) -> None:
+    free, start, goal = question
+    by_distance = ("astar.manhattan.lifo", "astar.euclidean.random3", "dijkstra.zero.larger-g")
+    told = search.answer(query_of(free, start, goal, "~".join((*by_distance, energy_panel))))["panels"]
+    steps = naive.steps(free, start, goal)
+    least = naive.least_energy(free, [(start, h, False) for h in range(4)], goal, naive.Energy())
+    for panel in told[:3]:
+        assert panel["cost"] == (-1 if steps is None else 1000 * steps)
+    assert told[3]["cost"] == (-1 if least is None else least)
+
+
+@settings(max_examples=30)
+@given(floors(), st.sampled_from(["fifo", "lifo"]))
+def test_cells_are_expanded_in_the_textbook_order(
+    question: tuple[np.ndarray, naive.Cell, naive.Cell], tie: str
+) -> None:
+    free, start, goal = question
+    told = search.answer(query_of(free, start, goal, f"astar.manhattan.{tie}~dijkstra.zero.{tie}"))["panels"]
+    estimates = (lambda c: abs(c[0] - goal[0]) + abs(c[1] - goal[1]), lambda c: 0)
+    for panel, h in zip(told, estimates, strict=True):
+        order, _ = naive.expansions(free, start, goal, h, tie)
+        assert columns(panel["rows"])["cell"] == [x + free.shape[1] * y for x, y in order]
+
+
+def test_the_counterexample_is_an_example() -> None:
+    preset = next(p for p in search.PRESETS if p.word.startswith("3 × 3"))
+    exact, cell, time = search.answer(preset.query)["panels"]
+    # 628.1 + 128.1 + 2 · 338.37 J, and 628.1 + 3 · 338.37 J
+    assert exact["cost"] / 1000 == pytest.approx(1432.9, abs=0.1)
+    assert cell["cost"] == time["cost"]
+    assert cell["cost"] / 1000 == pytest.approx(1643.3, abs=0.15)
+    assert "1643 J" in preset.look
+    assert "1433 J" in preset.look
+
+
+def test_a_search_has_a_limit_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "EXPANSIONS", 10)
+    told = search.answer({**search.PRESETS[0].query, "panels": "dijkstra.zero.fifo~dijkstra-energy.zero.fifo"})[
+        "panels"
+    ]
+    for panel in told:
+        assert not panel["solved"]
+        assert panel["expanded"] == 10
+        assert panel["status"].startswith("stopped after 10 expansions")
+
+
+def test_increments_are_the_papers() -> None:
+    joules = search.increments()
+    assert joules["straight"] == pytest.approx(128.1, abs=0.05)
+    assert joules["turn"] == pytest.approx(338.4, abs=0.1)
+    assert joules["start"] == pytest.approx(628.1, abs=0.05)
+    assert joules["wait"] == 30.0
+
+
+# -- tree -------------------------------------------------------------------------------------------------------------
+
+
+def positions(way: dict[str, Any], tick: int) -> int:
+    return way["cells"][min(tick, len(way["cells"]) - 1)]
+
+
+def clashes(plan: list[dict[str, Any]]) -> int:
+    found = 0
+    for tick in range(max(len(way["cells"]) for way in plan)):
+        now = [positions(way, tick) for way in plan]
+        then = [positions(way, tick + 1) for way in plan]
+        found += len(now) - len(set(now))
+        found += sum(
+            now[i] == then[j] and now[j] == then[i] and now[i] != now[j] for i in range(len(now)) for j in range(i)
+        )
+    return found
+
+
+@pytest.mark.parametrize("on", ["none", tree.ALL_ON, f"{tree.ALL_ON}.incumbent"])
+@pytest.mark.parametrize("planner", ["cbs", "ecbs"])
+@pytest.mark.parametrize("preset", tree.PRESETS[:5], ids=lambda p: p.word)
+def test_a_tree_is_the_solvers(preset: base.Preset, planner: str, on: str) -> None:
+    query = {**preset.query, "planner": planner, "on": on}
+    told = tree.answer(query)
+    nodes = told["nodes"]
+    turns = sorted(node["turn"] for node in nodes if node["turn"] >= 0)
+    assert turns == list(range(len(turns)))
+    for node in nodes:
+        plan = [told["ways"][way] for way in told["plans"][node["node"]]]
+        cost = (
+            sum(way["energy_mj"] for way in plan) if planner == "ecbs" else sum(len(way["cells"]) - 1 for way in plan)
+        )
+        assert cost == node["cost"]
+        assert bool(clashes(plan)) is bool(node["conflicts"])
+        if node["parent"] >= 0:
+            parent = nodes[node["parent"]]
+            assert parent["turn"] >= 0
+            assert parent["f"] <= node["f"]
+        if conflict := node["conflict"]:
+            a, b = (plan[conflict[k]] for k in "ab")
+            one = [positions(a, conflict["tick"]), positions(a, conflict["tick"] + 1)]
+            two = [positions(b, conflict["tick"]), positions(b, conflict["tick"] + 1)]
+            assert one == conflict["cells"] == two[::-1] if len(conflict["cells"]) > 1 else one[0] == two[0]
+        if match := re.fullmatch(r"(\d) ([≠=]) \((\d+),(\d+)\) @(\d+)", node["short"]):
+            vehicle, sign, x, y, tick = match.groups()
+            here = positions(plan[int(vehicle)], int(tick)) == int(x) + told["width"] * int(y)
+            assert here is (sign == "=")
+        assert node["why"].endswith(".")
+    if told["answer"]:
+        assert clashes(told["answer"]) == 0
+
+
+def test_switches_change_the_tree_and_never_the_optimum() -> None:
+    query = tree.PRESETS[0].query
+    sizes = {}
+    for on in ("none", "disjoint", "cardinal.bypass", tree.FOUR, tree.ALL_ON):
+        told = tree.answer({**query, "on": on})
+        assert told["status"].startswith("optimal")
+        sizes[on] = (len(told["nodes"]), told["cost"])
+    assert len({cost for _, cost in sizes.values()}) == 1
+    assert sizes[tree.ALL_ON][0] <= sizes[tree.FOUR][0] < sizes["none"][0] / 4
+
+
+def test_the_optimum_is_the_joint_searchs() -> None:
+    asked = tree.read(tree.PRESETS[1].query)
+    problem = tree.problem_of(asked.instance, masses_kg=tree.MASSES[asked.mass])
+    assert tree.answer(tree.PRESETS[1].query)["cost"] == joint_optimum(problem, energy=True)
+
+
+def test_a_tree_has_a_limit_and_says_so() -> None:
+    told = tree.answer({**tree.PRESETS[3].query, "planner": "ecbs"})
+    assert told["expanded"] == tree.EXPANSIONS
+    assert f"limit of {tree.EXPANSIONS} expansions" in told["status"]
+    closed = tree.answer({**tree.PRESETS[0].query, "map": base.drawn("..", "##", ".."), "vehicles": "0.0-0.2~1.0-1.2"})
+    assert closed["status"] == "no path: vehicle 0 has no way to its goal"
+    assert closed["nodes"] == []
+
+
+def test_rule_b_finds_no_plan_where_there_is_one() -> None:
+    query = next(p for p in tree.PRESETS if p.word == "Rule B").query
+    assert tree.answer(query)["status"] == "no plan: the priority rule left no plan"
+    assert tree.answer({**query, "planner": "cbs"})["solved"]
+
+
+# -- addresses --------------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 60), st.integers(2, 60))
+@settings(max_examples=30)
+def test_a_floor_survives_its_address(seed: int, width: int, height: int) -> None:
+    free = np.random.default_rng(seed).random((height, width)) > 0.3
+    assert (base.read_floor(base.floor_text(free)) == free).all()
+
+
+@pytest.mark.parametrize("name", LESSONS)
+def test_every_example_is_shown_and_differs(name: str) -> None:
+    shown = lesson(name)
+    assert len({tuple(sorted(preset.query.items())) for preset in shown.presets}) == len(shown.presets)
+    for preset in shown.presets:
+        assert shown.begin(preset.query) == (dict(preset.query), "")
+        assert shown.answer(preset.query)["walls"]
+    assert shown.begin({}) == (dict(shown.presets[0].query), "")
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value", "sentence"),
+    [
+        ("search", "map", "70x20", "sides of 2 to 60 cells were expected, got 70; nearest: 60"),
+        ("search", "map", "20x20r90s1", "density of 0 to 35 % was expected, got 90; nearest: 35"),
+        ("search", "map", "20x20b", "50 bytes of obstacles were expected, got 0"),
+        ("search", "map", "20x20b****", "a text such as 20x20"),
+        ("search", "map", "<script>", "a text such as 20x20"),
+        ("search", "start", "3", "column.row such as 0.0 was expected"),
+        ("search", "start", "20.0", "outside the floor of 20 × 20 cells; nearest: 19.0"),
+        ("search", "goal", "0.0", "it lies at the start"),
+        ("search", "panels", "astar.manhatan.fifo", "did you mean 'manhattan'"),
+        ("search", "panels", "eea.table.random", "unknown tie rule of eea"),
+        ("search", "panels", "~".join(["dijkstra.zero.fifo"] * 5), "at most 4 were expected, got 5"),
+        ("search", "step", "-1", "a whole number from 0"),
+        ("tree", "vehicles", "0.0-3.3", "2 to 5 were expected, got 1"),
+        ("tree", "vehicles", "0.0-3.3~0.0-2.2", "vehicles 0 and 1 have one start, 0.0"),
+        ("tree", "vehicles", "0.0-3.3~1.0-9.9", "goal of vehicle 1: 9.9 is outside"),
+        ("tree", "map", "40x40", "at most 20 × 20 cells"),
+        ("tree", "on", "disjiont", "did you mean 'disjoint'"),
+        ("tree", "w", "9", "unknown w"),
+        ("tree", "node", "x", "a whole number from 0"),
+    ],
+)
+def test_a_bad_address_is_a_sentence_and_the_first_example(name: str, key: str, value: str, sentence: str) -> None:
+    shown = lesson(name)
+    state, problem = shown.begin({key: value})
+    assert sentence in problem
+    assert state == dict(shown.presets[0].query)
+    with pytest.raises(BadInput, match=re.escape(sentence)):
+        shown.read({**shown.presets[0].query, key: value})
+
+
+def test_an_obstacle_is_no_start() -> None:
+    _, problem = lesson("search").begin({"map": base.drawn("..", "#."), "start": "0.0", "goal": "1.1"})
+    assert "start: 0.0 is an obstacle" in problem
+
+
+def test_large_floors_refuse_timed_nodes() -> None:
+    with pytest.raises(BadInput, match="at most 1600 cells here; got 3600"):
+        search.read({"map": "60x60", "start": "0.0", "goal": "1.1", "panels": "eea-time.paper.fifo"})
+
+
+def test_the_server_answers_or_says_why(client: Any) -> None:
+    told = client.post("/learn/search", json={"panels": "astar.manhattan.fifo"})
+    assert told.status_code == 200
+    assert told.json()["panels"][0]["solved"]
+    for path, body in (
+        ("/learn/search", {"map": "1x1"}),
+        ("/learn/search", {"map": ["20x20"]}),
+        ("/learn/search", {"map": "x" * 3000}),
+        ("/learn/tree", {"vehicles": "0.0"}),
+        ("/learn/nothing", {}),
+    ):
+        refused = client.post(path, json=body)
+        assert refused.status_code == 400
+        assert refused.json()["error"]
+    assert client.post("/learn/search", json=[]).status_code == 400
