@@ -4,8 +4,8 @@
   const wl = (window.wattlane = window.wattlane || {});
   const el = wl.el;
   const PREVIEW_WAIT_MS = 350, LINES_UP_TO = 60, NUMBER_FROM_PX = 14, PAN = 0.15;
-  const FILL = { "#": "wall", S: "shelf", R: "rack", I: "inbound", O: "outbound", C: "charger", P: "parking" };
-  const WORD = { "#": "wall", S: "shelf", R: "rack", I: "inbound", O: "outbound", C: "charger", P: "parking" };
+  const FILL = { "#": "wall", S: "shelf", R: "rack", I: "inbound", O: "outbound", C: "charger", P: "parking", E: "inbound" };
+  const WORD = { "#": "wall", S: "shelf", R: "rack", I: "inbound", O: "outbound", C: "charger", P: "parking", E: "entrance" };
   const SIGN = { ok: "✓", warning: "!", error: "✕" };
   const LEVEL = { ok: "fine", warning: "warning", error: "error" };
 
@@ -140,7 +140,7 @@
 
   /** What the letters and marks mean, of those that this floor has. */
   const legend = (host, floor, trips) => {
-    const network = floor.kind === "network", node = { entrance: "I", inbound: "I", outbound: "O", rack: "R" };
+    const network = floor.kind === "network", node = { entrance: "E", inbound: "I", outbound: "O", rack: "R" };
     const letters = network ? [...floor.nodes.map((n) => node[n.kind]), ...(floor.chargers.length ? "C" : "")] : floor.cells;
     const palette = wl.marks.readPalette(host), there = new Set(network ? letters : letters.join("")), dpr = Math.min(3, window.devicePixelRatio || 1);
     const mark = (draw, word) => {
