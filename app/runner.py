@@ -537,6 +537,7 @@ def simulation(scenario: Scenario, point: Checkpoint | None, tee: Tee) -> Simula
 def warm_up(scenario: Scenario) -> None:
     """Compiles every kernel that a run of this scenario calls, by running a short one that nobody sees."""
     from app.settings import kernels_compiled
+    from engine import traffic
     from engine.build import build
 
     sim = build(scenario)
@@ -562,6 +563,11 @@ def warm_up(scenario: Scenario) -> None:
     sim.advance(WARM_UP_TICKS)
     sim.snapshot()
     sim.flush()
+    # What a plan that isn't found needs: no short run is sure to meet one.
+    claims, steps, fleet = sim.claims, sim.steps, sim.fleet
+    at = (0, int(fleet.here[0]), int(fleet.step[0]), int(fleet.steps[0]))
+    traffic.lift(claims, steps, *at)
+    traffic.put_back(claims, steps, *at)
     kernels_compiled()
 
 

@@ -16,6 +16,7 @@ from app.pages import stage as stage_page
 from app.pages.base import Page, opened
 from app.pages.operate import KIND_OF_STATUS, passport
 from app.runs import RunManager
+from engine.build import planners_for
 
 SAME = "as recorded"
 
@@ -25,10 +26,10 @@ def layout(manager: RunManager, run_id: str) -> html.Div:
     status = manager.status(run_id)
     manifest = manager.manifest(run_id)
 
-    def read(view: Any) -> tuple[dict[str, float], float]:
-        return dict(view.thresholds(view.t_end)._asdict()), float(view.t_end)
+    def read(view: Any) -> tuple[dict[str, float], float, list[str]]:
+        return dict(view.thresholds(view.t_end)._asdict()), float(view.t_end), planners_for(view.scenario)
 
-    levels, end = manager.read(run_id, read)
+    levels, end, planners = manager.read(run_id, read)
     about = {"run": run_id, "label": status.get("name") or run_id}
     left = [
         section(
@@ -55,7 +56,7 @@ def layout(manager: RunManager, run_id: str) -> html.Div:
                 className="wl-row",
             ),
         ),
-        section("Fork from here", fork_form()),
+        section("Fork from here", fork_form(planners)),
         section(
             "Look closer",
             html.Div(
@@ -81,15 +82,15 @@ def layout(manager: RunManager, run_id: str) -> html.Div:
     return stage_page.layout(status, "replay", levels, left, end * float(status["tick_s"]))
 
 
-def fork_form() -> html.Div:
-    """A new live run from the moment shown, with something changed."""
+def fork_form(planners: list[str]) -> html.Div:
+    """A new live run from the moment shown, with something changed; planners: those that fit its scenario."""
     return html.Div(
         [
             html.P("Starts a live run from the moment shown, with one thing changed.", className="wl-hint whole"),
             dmc.Select(
                 id=Replay.FORK_PLANNER,
                 label="Planner",
-                data=[SAME, *data.planners()],
+                data=[SAME, *planners],
                 value=SAME,
                 allowDeselect=False,
                 size="xs",

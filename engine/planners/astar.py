@@ -64,7 +64,7 @@ class AStar:
         table = np.zeros(0, np.int32)
         if rule == single.TABLE:
             table = np.full(places + 1, -1, np.int32)
-            single.steps_to(ground.step, goal, table, np.zeros(places, np.int32))
+            single.steps_to(floor.back, goal, table, np.zeros(places, np.int32))
         four = ground.step.shape[1] == 4
         buckets = four and self.heuristic in WHOLE and self.tie in ("fifo", "lifo")
         unit = cell if buckets else 1
@@ -86,6 +86,6 @@ class AStar:
         if status != single.SOLVED:
             return Way(STATUS[status], np.zeros(0, np.int32), -1, int(out[1]), kept)
         buffer = np.zeros(int(out[0]) * unit // cell + 1, np.int32)
-        n = single.way_back(ground.step, best, start, goal, buffer)
+        n = single.way_back(floor.back, best, start, goal, buffer)
         begin = None if heading is None else start * floor.per_place + 2 * heading
         return Way(PlanStatus.SOLVED, floor.along(buffer[:n], begin), int(out[0]) * unit, int(out[1]), kept)

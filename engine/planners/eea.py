@@ -132,7 +132,7 @@ class Eea:
     ) -> Way:  # fmt: skip
         n = floor.graph.n_places
         steps = np.full(n + 1, -1, np.int32)
-        single.steps_to(floor.grounds.step, goal, steps, np.zeros(n, np.int32))
+        single.steps_to(floor.back, goal, steps, np.zeros(n, np.int32))
         if steps[starts[0] >> floor.net.shift] < 0:  # time would go on for ever
             return Way(PlanStatus.NO_PATH, np.zeros(0, np.int32), -1, 0)
         layers = 1 if self.variant == "literal-cell" else 256

@@ -126,7 +126,7 @@ class Desk:
             tables = np.empty((len(distinct), self.places + 1), np.int32)
             queue = np.zeros(self.places, np.int32)
             for i, goal in enumerate(distinct.tolist()):
-                steps_to(self.floor.grounds.step, goal, tables[i], queue)
+                steps_to(self.floor.back, goal, tables[i], queue)
             self._steps = tables, row.astype(np.int32)
         return self._steps
 

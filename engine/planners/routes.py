@@ -129,7 +129,8 @@ def _floor(view: View, loaded: bool) -> Floor:
         if graph is view.graph and costs is view.costs and load == loaded:
             if not np.array_equal(floor.blocked, view.blocked):
                 floor.blocked[:] = view.blocked
-                floor.__dict__.pop("grounds", None)
+                for name in ("grounds", "back"):
+                    floor.__dict__.pop(name, None)
             return floor
     c = view.costs
     table = CostTable(c.mj[:, ::-1], c.total_mj[:, ::-1], c.standby_mj) if loaded else c

@@ -62,6 +62,16 @@ class Floor:
         return grounds
 
     @cached_property
+    def back(self) -> I32:
+        """(P+1, D) place that a step in the opposite direction comes from: on one-way floors not a neighbour."""
+        step = self.grounds.step
+        none, heads = step.shape[0] - 1, step.shape[1]
+        back = np.full_like(step, none)
+        place, ahead = np.nonzero(step[:-1] != none)
+        back[step[place, ahead], (ahead + heads // 2) % heads] = place
+        return back
+
+    @cached_property
     def place_work(self) -> single.PlaceWork:
         """Room of searches over places."""
         return single.new_place_work(self.graph.n_places)

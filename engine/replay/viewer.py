@@ -30,6 +30,9 @@ FILES: tuple[str, ...] = ("index.html", "re_viewer.js", "re_viewer_bg.wasm")
 FETCH_WITHIN_S = 60.0
 """How long the executable may take to start and hand out its files."""
 
+OPENS_WITHIN_S = 3.0
+"""How long a window that can't open may take to say so."""
+
 _LINK = re.compile(r"[ \t]*<link\b[^>]*>\s*?\n")
 _TELEMETRY = re.compile(r"[ \t]*if \(window\.location\.hostname == \"[^\"]*rerun\.io\"\) \{.*?\n[ \t]*\}\n", re.DOTALL)
 _CALLS_OUT = re.compile(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//(?!github\.com)|fonts\.g|fifteen-thirtyeight""")
@@ -87,7 +90,7 @@ def open_native(recording: Path) -> None:
             command, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, start_new_session=True
         )
         try:
-            code = started.wait(timeout=3.0)
+            code = started.wait(timeout=OPENS_WITHIN_S)
         except subprocess.TimeoutExpired:
             return
         if code != 0:

@@ -25,7 +25,9 @@ def encoded(given_poses: Any, **changes: Any) -> bytes:
 
 def test_the_layout_is_the_one_the_browser_reads() -> None:
     assert (HEADER.size, VEHICLE.itemsize) == (32, 8)
-    data = encoded(poses(1, x_m=[20.0], y_m=[5.0], heading_deg=[90.0], soc=[0.5], state=[3], task=[2], loaded=[1], low=[1]))
+    data = encoded(
+        poses(1, x_m=[20.0], y_m=[5.0], heading_deg=[90.0], soc=[0.5], state=[3], task=[2], loaded=[1], low=[1])
+    )
     assert data[:4] == b"WL\x01\x00"
     assert len(data) == 40
     assert list(data[32:]) == [0xFF, 0xFF, 0x00, 0x80, 64, 125, 3, 3 + 4 * 2]

@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
+from tests.browser.stage import until
+
 pytestmark = pytest.mark.browser
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 DARK = {"color_scheme": "dark"}
@@ -34,11 +36,10 @@ def answers(page: Page) -> int:
 
 def after(page: Page, before: int) -> None:
     """Waits for an answer newer than the one counted before."""
-    page.wait_for_function(
-        "before => { const s = document.querySelector('#lesson'); "
-        "return Number(s.dataset.answers) > before && !s.hasAttribute('aria-busy'); }",
-        arg=before,
-        timeout=60_000,
+    until(
+        page,
+        f"(s => Number(s.dataset.answers) > {before} && !s.hasAttribute('aria-busy'))"
+        "(document.querySelector('#lesson'))",
     )
 
 

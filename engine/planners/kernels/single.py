@@ -210,7 +210,10 @@ def came_from(d, heads):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def way_back(step: I32, best: I32, start: int, goal: int, places: I32) -> int:
-    """Write the places from start to goal that the last search of either kind found; returns their number."""
+    """Write the places from start to goal that the last search of either kind found; returns their number.
+
+    step: where a step in each direction comes from, turned round.
+    """
     heads = step.shape[1]
     n, at = 1, goal
     while at != start:
