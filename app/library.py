@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from engine.scenario import Scenario
     from engine.scenario.movingai import Instance
     from engine.world import World
+    from engine.world.network import Arc, Node
 
 SCENARIO, ABOUT = "scenario.toml", "import.json"
 MAX_BYTES = 6 * 2**20
@@ -72,7 +73,10 @@ class ImportOptions:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A scenario in the list; `error` says why it can't be read, and then only its name is known."""
+    """A scenario in the list; `error` says why it can't be read, and then only its name is known.
+
+    width, height: in cells, 0 of a network · nodes, arcs: of a network.
+    """
 
     name: str
     imported: bool
@@ -80,12 +84,19 @@ class Entry:
     title: str = ""
     width: int = 0
     height: int = 0
+    nodes: int = 0
+    arcs: int = 0
     cell_m: float = 1.0
     fleet: int = 0
     planner: str = ""
     paper: str = ""
     instance: bool = False
     error: str = ""
+
+    @property
+    def size(self) -> str:
+        """How large the floor is, in words."""
+        return f"{self.nodes} nodes, {self.arcs} arcs" if self.nodes else f"{self.width} × {self.height} cells"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +185,8 @@ class Library:
         def make() -> Entry:
             try:
                 scenario = self.load(name)
-                rows = scenario.floor.drawing()
+                nodes, arcs = network_of(scenario)
+                rows = scenario.floor.drawing() or ("",)
             except BadInput as error:
                 return Entry(name, self.is_imported(name), self.revision(name), title=name, error=str(error))
             return Entry(
@@ -183,7 +195,9 @@ class Library:
                 self.revision(name),
                 title=scenario.title,
                 width=len(rows[0]),
-                height=len(rows),
+                height=len(rows) if rows[0] else 0,
+                nodes=len(nodes),
+                arcs=len(arcs),
                 cell_m=scenario.floor.cell_m,
                 fleet=scenario.fleet.count,
                 planner=scenario.planner.name,
@@ -261,8 +275,12 @@ class Library:
         return {**floor, "trips": trips_of(scenario)}
 
     def thumb(self, name: str) -> dict[str, Any]:
-        """The floor's letters, thinned out where it is large: {cells (bottom row first), width, height}."""
-        return thinned(self.load(name).floor.drawing())
+        """The floor's letters, thinned out where it is large: {cells (bottom row first), width, height}.
+
+        Of a network its ends in metres: {nodes: [x, y, kind], arcs: [x, y, x, y], width, height}.
+        """
+        scenario = self.load(name)
+        return sketch(scenario) if scenario.floor.kind == "network" else thinned(scenario.floor.drawing())
 
     def findings(self, name: str) -> list[dict[str, Any]]:
         """What the checks found: level, check, text, place, and where that is in metres."""
@@ -294,14 +312,16 @@ class Library:
         given = checked_files(files)
         read = _read(given, wanted)
         scenario = read.scenario
-        rows = scenario.floor.drawing()
+        nodes, arcs = network_of(scenario)
+        rows = scenario.floor.drawing() or ("",)
         return {
             "kind": "instance" if read.most is not None else "scenario",
             "name": self._free(slug(given[0].name if read.most is not None else scenario.name)),
             "title": scenario.title,
             "description": scenario.description,
             "width": len(rows[0]),
-            "height": len(rows),
+            "height": len(rows) if rows[0] else 0,
+            "size": f"{len(nodes)} nodes, {len(arcs)} arcs" if nodes else f"{len(rows[0])} × {len(rows)} cells",
             "fleet": scenario.fleet.count,
             "most": read.most,
             "random": read.most is not None and all(f.kind != ".scen" for f in given),
@@ -468,6 +488,27 @@ def letters_of(scenario: Scenario) -> dict[str, Any]:
     nothing = dict.fromkeys(("places", "stations", "chargers", "parking", "one_way"), ())
     size = {"width": len(rows[0]), "height": len(rows), "cell_m": scenario.floor.cell_m}
     return {"kind": "grid", **size, "cells": rows[::-1], **nothing}
+
+
+def network_of(scenario: Scenario) -> tuple[tuple[Node, ...], tuple[Arc, ...]]:
+    """Nodes and arcs of a path network; none of any other floor."""
+    network = scenario.floor.network
+    return network.parts() if network is not None else ((), ())
+
+
+def sketch(scenario: Scenario) -> dict[str, Any]:
+    """Nodes and arcs of a network in metres from its lower left corner; needs no compiled world."""
+    from engine.world.network import extent
+
+    nodes, arcs = network_of(scenario)
+    x0, y0, x1, y1 = extent(nodes, arcs)
+    at = [(round(n.x_m - x0, 3), round(n.y_m - y0, 3)) for n in nodes]
+    return {
+        "nodes": [[*xy, str(n.kind or "")] for xy, n in zip(at, nodes, strict=True)],
+        "arcs": [[*at[arc.a], *at[arc.b]] for arc in arcs],
+        "width": round(x1 - x0, 3),
+        "height": round(y1 - y0, 3),
+    }
 
 
 def thinned(rows: tuple[str, ...]) -> dict[str, Any]:

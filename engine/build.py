@@ -22,6 +22,9 @@ from engine.world import World, build_world
 PLANNERS: dict[str, str] = {
     "prioritized": "engine.planners.prioritized:Prioritized",
     "quickest": "engine.planners.quickest:Quickest",
+    "stochastic": "engine.planners.stochastic:Stochastic",
+    "astar-distance": "engine.planners.astar_distance:AStarDistance",
+    "astar-turns": "engine.planners.astar_turns:AStarTurns",
     "astar": "engine.planners.routes:AStarRoutes",
     "eea": "engine.planners.routes:EeaRoutes",
 }
@@ -46,6 +49,8 @@ CHARGING: dict[str, str] = {
 DEMAND: dict[str, str] = {
     "xu2025": "engine.energy.xu2025:Xu2025",
     "constant": "engine.energy.constant:Constant",
+    "lian2024": "engine.energy.lian2024:lian2024",
+    "lian2024-paper": "engine.energy.lian2024:lian2024_paper",
 }
 BATTERIES: dict[str, str] = battery.BATTERIES
 
@@ -67,7 +72,8 @@ def demand_model(name: str, scenario: Scenario) -> Any:
     if name == "constant":
         numbers = parameters_over(parameter_sets.constant(), given, name)
         return cls(running_w=scenario.battery.capacity_wh * 3600 * numbers["percent_per_s"] / 100)
-    return cls(**parameters_over(parameter_sets.xu2025(scenario.motion.speed_mps), given, name))
+    numbers_of = parameter_sets.lian2024 if name.startswith("lian2024") else parameter_sets.xu2025
+    return cls(**parameters_over(numbers_of(scenario.motion.speed_mps), given, name))
 
 
 def costs_of(scenario: Scenario, world: World, demand: str | None = None) -> Any:
@@ -174,6 +180,8 @@ def _misfit(entry: str, scenario: Scenario) -> str:
     module, _, attribute = entry.partition(":")
     promise = getattr(import_module(module), attribute).promise
     floor, motion = scenario.floor, scenario.motion
+    if promise.cells and floor.kind == "network":
+        return "needs a floor of cells, and floor.kind is 'network'"
     if Occupancy(floor.occupancy) not in promise.occupancies:
         wanted = " or ".join(repr(str(o)) for o in promise.occupancies)
         return f"needs the occupancy {wanted}, and floor.occupancy is {floor.occupancy!r}"
@@ -291,7 +299,7 @@ def charger_mj(scenario: Scenario) -> tuple[int, int]:
 
 def source_of(scenario: Scenario, world: World, rng: np.random.Generator) -> Any:
     """The scenario's source of orders. Raises ScenarioError for unknown stations."""
-    from engine.orders.sources import Listed, NoOrders, Poisson
+    from engine.orders.sources import Backlog, Listed, NoOrders, Poisson
 
     orders = scenario.orders
     if orders.source == "goals":
@@ -307,6 +315,8 @@ def source_of(scenario: Scenario, world: World, rng: np.random.Generator) -> Any
             if not found:
                 raise ScenarioError(f"orders.mix: the floor has no station of kind {kind!r}")
         mix.append((kinds[0], kinds[1], item.weight))
+    if orders.source == "backlog":
+        return Backlog(rng, mix, orders.backlog, orders.limit)
     return Poisson(rng, orders.rate_per_h, mix, scenario.time.tick_s, orders.limit, orders.initial)
 
 

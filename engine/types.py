@@ -95,6 +95,7 @@ class StationKind(StrEnum):
     INBOUND = "inbound"
     OUTBOUND = "outbound"
     RACK = "rack"
+    ENTRANCE = "entrance"
     STATION = "station"
 
 

@@ -19,7 +19,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 
 # Pure data and vocabulary: anyone may import these.
-PURE = {"engine.types", "engine.units", "engine.errors", "engine.results.schema"}
+PURE = {"engine.types", "engine.units", "engine.errors", "engine.compiled", "engine.results.schema"}
 
 LAYOUT = {"world", "energy"}
 ASKED = {"scenario", "orders"}
@@ -29,6 +29,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "types": set(),
     "units": set(),
     "errors": set(),
+    "compiled": set(),
     "world": set(),
     "energy": {"world"},
     "scenario": LAYOUT,

@@ -31,7 +31,7 @@ def card(entry: Entry, chosen: bool) -> html.Li:
         words: list[Any] = [badge("can't be read", "bad")]
     else:
         vehicles = f"{entry.fleet} vehicle{'' if entry.fleet == 1 else 's'}"
-        words = [f"{entry.width} × {entry.height} · {vehicles} · {entry.planner}"]
+        words = [f"{entry.size.removesuffix(' cells')} · {vehicles} · {entry.planner}"]
     current = {"aria-current": "true"} if chosen else {}
     return html.Li(
         dcc.Link(
@@ -79,21 +79,20 @@ def paragraphs(text: str) -> list[html.P]:
     return [html.P(" ".join(part.split())) for part in text.split("\n\n") if part.strip()]
 
 
-def passport(scenario: Scenario, rows: Sequence[str], about: Mapping[str, Any]) -> html.Dl:
-    """What matters before a run. rows: the drawing."""
+def passport(scenario: Scenario, entry: Entry, about: Mapping[str, Any]) -> html.Dl:
+    """What matters before a run."""
     floor, fleet, battery = scenario.floor, scenario.fleet, scenario.battery
-    letters = Counter("".join(rows))
+    letters = Counter("".join(floor.drawing()))
     there = ", ".join(f"{letters[letter]} {word}" for letter, word in COUNTED if letters[letter])
-    wide, high = len(rows[0]), len(rows)
+    driving = f"{floor.connectivity} neighbours, occupancy {floor.occupancy}, turning {scenario.motion.turning}"
+    if entry.nodes:
+        driving = f"along lanes, occupancy {floor.occupancy}, turning on the spot at nodes"
     files = " and ".join(about.get("files") or ())
     return facts(
         [
-            ("Floor", f"{wide} × {high} cells of {floor.cell_m:g} m"),
+            ("Floor", entry.size if entry.nodes else f"{entry.size} of {floor.cell_m:g} m"),
             ("On it", there),
-            (
-                "Motion",
-                f"{floor.connectivity} neighbours, occupancy {floor.occupancy}, turning {scenario.motion.turning}",
-            ),
+            ("Motion", driving),
             ("Fleet", f"{fleet.count} vehicles of {mass(scenario)} kg"),
             ("Orders", orders(scenario)),
             ("Planner", f"{scenario.planner.name}, least {scenario.planner.objective}"),
@@ -120,6 +119,8 @@ def orders(scenario: Scenario) -> str:
         return "none: every vehicle has one goal"
     if given.source == "listed":
         return f"{len(given.pairs)} listed"
+    if given.source == "backlog":
+        return f"a backlog of {given.backlog}, always refilled"
     limit = f", {given.limit} in all" if given.limit is not None else ""
     return f"Poisson, {given.rate_per_h:g} per hour{limit}"
 

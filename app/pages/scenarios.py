@@ -73,7 +73,6 @@ def detail(library: Library, entry: Entry | None, chosen: str) -> Any:
     import engine.scenario
 
     scenario = library.load(entry.name)
-    rows = scenario.floor.drawing()
     return html.Div(
         [
             _head(library, entry),
@@ -90,7 +89,7 @@ def detail(library: Library, entry: Entry | None, chosen: str) -> Any:
                     html.Aside(
                         [
                             section("Start from here", start_form(library, entry.name, scenario)),
-                            section("About", cards.passport(scenario, rows, library.about(entry.name))),
+                            section("About", cards.passport(scenario, entry, library.about(entry.name))),
                         ],
                         className="wl-scn-side",
                         **{"aria-label": "Start and key numbers"},

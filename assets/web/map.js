@@ -6,6 +6,7 @@
   const el = wl.el;
   const BUCKETS = 32;            // headings for which a sprite is kept
   const VEHICLE_SHARE = 0.78;    // of a cell's side
+  const NETWORK_SHARE = 0.42;    // of the mean arc, so that two pass each other
   const LEAST_PX = 7;
   const NUMBER_FROM_PX = 15;     // a vehicle narrower than this shows no number
   const SUBPIXEL_BELOW = 250;    // larger fleets snap to whole pixels: half the drawing time
@@ -57,8 +58,9 @@
 
     setFloor(floor) {
       this.floor = floor;
-      this.widthM = floor.width * floor.cell_m;
-      this.heightM = floor.height * floor.cell_m;
+      this.network = floor.kind === "network";
+      this.widthM = this.network ? floor.width_m : floor.width * floor.cell_m;
+      this.heightM = this.network ? floor.height_m : floor.height * floor.cell_m;
       this.placeAt = new Map();
       floor.places.forEach(([x, y], place) => this.placeAt.set(this._cellKey(x, y), place));
       this.stationAt = new Map((floor.stations || []).map((s) => [s.place, s]));
@@ -193,11 +195,16 @@
         if (d < least) { least = d; best = i; }
       }
       if (best >= 0) return { kind: "vehicle", id: best };
-      const place = x >= 0 && y >= 0 && x < this.widthM && y < this.heightM ? this.placeAt.get(this._cellKey(x, y)) : undefined;
+      const place = this._placeAtPoint(x, y);
       if (place === undefined) return null;
       if (this.chargerAt.has(place)) return { kind: "charger", id: this.chargerAt.get(place).number, place };
       if (this.stationAt.has(place)) return { kind: "station", id: this.stationAt.get(place).number, place };
       return { kind: "place", id: place, place };
+    }
+
+    _placeAtPoint(x, y) {
+      if (x < 0 || y < 0 || x >= this.widthM || y >= this.heightM) return undefined;
+      return this.network ? wl.network.pick(this, x, y) : this.placeAt.get(this._cellKey(x, y));
     }
 
     // ---- the view
@@ -298,6 +305,12 @@
       ctx.fillStyle = palette.floor;
       ctx.fillRect(0, 0, this.still.width, this.still.height);
       ctx.setTransform(this.dpr, 0, 0, this.dpr, 0, 0);
+      if (this.network) {
+        wl.network.draw(this, ctx, cell);
+        this._drawFittings(ctx, cell, { x0: -1, x1: Infinity, y0: -1, y1: Infinity });
+        this._drawBlocked(ctx, cell);
+        return;
+      }
       const [left, bottom] = this.toFloor(0, this.cssH), [right, top] = this.toFloor(this.cssW, 0);
       const range = { x0: Math.max(0, Math.floor(left / floor.cell_m)), x1: Math.min(floor.width - 1, Math.floor(right / floor.cell_m)),
         y0: Math.max(0, Math.floor(bottom / floor.cell_m)), y1: Math.min(floor.height - 1, Math.floor(top / floor.cell_m)) };
@@ -387,8 +400,9 @@
         ctx.fillText(item.name, sx, sy);
       };
       if (cell >= 15) {
-        for (const station of floor.stations || []) if (inside(station)) text(station, 0.36, palette.label);
-        for (const spot of floor.parking || []) if (inside(spot)) text(spot, 0.3, palette.label);
+        const size = this.network ? 0.19 : 0.36;
+        for (const station of floor.stations || []) if (inside(station) && cell * size >= 5) text(station, size, palette.label);
+        for (const spot of this.network ? [] : floor.parking || []) if (inside(spot)) text(spot, 0.3, palette.label);
       }
       for (const charger of floor.chargers || []) {
         if (!inside(charger)) continue;
@@ -530,7 +544,7 @@
 
     _drawFleet(ctx) {
       const { frame, palette, layers, dpr } = this;
-      const size = Math.max(LEAST_PX, Math.min(64, VEHICLE_SHARE * this.floor.cell_m * this.view.scale)) * dpr;
+      const size = Math.max(LEAST_PX, Math.min(64, (this.network ? NETWORK_SHARE : VEHICLE_SHARE) * this.floor.cell_m * this.view.scale)) * dpr;
       const slot = Math.ceil(size * 1.9) + 2;
       if (!this.sprites || this.sprites.slot !== slot) { this.sprites = new wl.marks.Atlas(slot); this.numbers = null; }
       const numbers = layers.ids && size >= NUMBER_FROM_PX * dpr;
@@ -675,7 +689,7 @@
 
     _placeUnder(px, py) {
       const [x, y] = this.toFloor(px, py);
-      return x >= 0 && y >= 0 && x < this.widthM && y < this.heightM ? this.placeAt.get(this._cellKey(x, y)) : undefined;
+      return this._placeAtPoint(x, y);
     }
 
     _menu(clientX, clientY, px, py) {

@@ -4,8 +4,8 @@
   const wl = (window.wattlane = window.wattlane || {});
   const el = wl.el;
   const PREVIEW_WAIT_MS = 350, LINES_UP_TO = 60, NUMBER_FROM_PX = 14, PAN = 0.15;
-  const FILL = { "#": "wall", S: "shelf", R: "rack", I: "inbound", O: "outbound", C: "charger", P: "parking" };
-  const WORD = { "#": "wall", S: "shelf", R: "rack", I: "inbound", O: "outbound", C: "charger", P: "parking" };
+  const FILL = { "#": "wall", S: "shelf", R: "rack", I: "inbound", O: "outbound", C: "charger", P: "parking", E: "inbound" };
+  const WORD = { "#": "wall", S: "shelf", R: "rack", I: "inbound", O: "outbound", C: "charger", P: "parking", E: "entrance" };
   const SIGN = { ok: "✓", warning: "!", error: "✕" };
   const LEVEL = { ok: "fine", warning: "warning", error: "error" };
 
@@ -140,7 +140,9 @@
 
   /** What the letters and marks mean, of those that this floor has. */
   const legend = (host, floor, trips) => {
-    const palette = wl.marks.readPalette(host), there = new Set(floor.cells.join("")), dpr = Math.min(3, window.devicePixelRatio || 1);
+    const network = floor.kind === "network", node = { entrance: "E", inbound: "I", outbound: "O", rack: "R" };
+    const letters = network ? [...floor.nodes.map((n) => node[n.kind]), ...(floor.chargers.length ? "C" : "")] : floor.cells;
+    const palette = wl.marks.readPalette(host), there = new Set(network ? letters : letters.join("")), dpr = Math.min(3, window.devicePixelRatio || 1);
     const mark = (draw, word) => {
       const canvas = el("canvas", { width: 18 * dpr, height: 18 * dpr, "aria-hidden": "true" });
       canvas.style.width = canvas.style.height = "18px";
@@ -171,10 +173,30 @@
 
   const thumbs = new Map();
 
+  const drawNetwork = (canvas, floor, palette, wide, high) => {
+    canvas.width = wide; canvas.height = high;
+    const ctx = canvas.getContext("2d"), scale = Math.min(wide / floor.width, high / floor.height);
+    const at = (x, y) => [(wide - scale * floor.width) / 2 + x * scale, (high + scale * floor.height) / 2 - y * scale];
+    ctx.strokeStyle = palette.arrow;
+    ctx.lineWidth = Math.max(1, scale * 0.1);
+    ctx.beginPath();
+    for (const [ax, ay, bx, by] of floor.arcs) { ctx.moveTo(...at(ax, ay)); ctx.lineTo(...at(bx, by)); }
+    ctx.stroke();
+    const fill = { entrance: palette.inbound, inbound: palette.inbound, outbound: palette.outbound, rack: palette.rack };
+    const side = Math.max(2, Math.min(10, scale * 0.34));
+    for (const [x, y, kind] of floor.nodes) {
+      const [sx, sy] = at(x, y);
+      ctx.fillStyle = fill[kind] || palette.shelf;
+      ctx.fillRect(sx - side / 2, sy - side / 2, side, side);
+    }
+    canvas.dataset.drawn = canvas.dataset.thumb;
+  };
+
   const drawThumb = (canvas, floor) => {
     const palette = wl.marks.readPalette(canvas), dpr = Math.min(3, window.devicePixelRatio || 1);
     const wide = canvas.clientWidth * dpr, high = canvas.clientHeight * dpr;
     if (!wide || !high) return;
+    if (floor.nodes) { drawNetwork(canvas, floor, palette, Math.round(wide), Math.round(high)); return; }
     const image = document.createElement("canvas");
     image.width = floor.width; image.height = floor.height;
     const ctx = image.getContext("2d");
@@ -420,7 +442,7 @@
       if (this.gone || number !== this.asked) return;
       this.importButton.disabled = false;
       this._fieldsFor(seen);
-      this.facts.textContent = `${seen.title} · ${seen.width} × ${seen.height} cells`;
+      this.facts.textContent = `${seen.title} · ${seen.size}`;
       this.importMap.show(seen.floor, seen.trips);
       legend(document.getElementById("scenarios-import-legend"), seen.floor, seen.trips);
       this.importHost.dataset.seen = seen.name;

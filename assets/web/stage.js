@@ -53,7 +53,7 @@
       }
       if (this.gone) return;
       this._buildMap(floor);
-      this.link = new wl.Link(this.config.run, { width: floor.width * floor.cell_m, height: floor.height * floor.cell_m }, {
+      this.link = new wl.Link(this.config.run, { width: floor.width_m || floor.width * floor.cell_m, height: floor.height_m || floor.height * floor.cell_m }, {
         frame: (frame, bytes) => this._frame(frame, bytes),
         status: (status) => this._status(status),
         state: (state, age) => this._linkState(state, age),

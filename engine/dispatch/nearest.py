@@ -25,7 +25,11 @@ class Nearest:
         out: list[Assignment] = []
         refused: list[Refusal] = []
         taken: set[int] = set()
-        for order in view.waiting[: self.look]:
+        looked = view.waiting[: self.look]
+        for i, order in enumerate(looked):
+            if not left:
+                refused += [Refusal(o, NOBODY_FREE) for o in looked[i:]]
+                break
             found = self.choose(view, order, left, taken)
             if isinstance(found, Refusal):
                 refused.append(found)
@@ -37,8 +41,6 @@ class Nearest:
 
     def choose(self, view: FloorView, order: int, left: list[int], taken: set[int]) -> Assignment | Refusal:
         """The nearest of the vehicles left that can carry an order, or why none can."""
-        if not left:
-            return Refusal(order, NOBODY_FREE)
         a, b = view.orders.from_place[order], view.orders.to_place[order]
         if view.blocked[a] or view.blocked[b]:
             return Refusal(order, "its station is blocked")

@@ -29,6 +29,7 @@ POINTS = 1001
 BATTERIES: dict[str, str] = {
     "coulomb": "engine.energy.battery:coulomb",
     "linear": "engine.energy.battery:linear",
+    "tremblay": "engine.energy.tremblay:tremblay",
 }
 """Battery models by name."""
 

@@ -1,7 +1,8 @@
-"""Where orders come from: listed pairs, or Poisson arrivals between kinds of stations."""
+"""Where orders come from: listed pairs, Poisson arrivals between kinds of stations, or a backlog kept full."""
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
@@ -21,6 +22,10 @@ class OrderSource(Protocol):
 
     def take(self) -> tuple[int, int, int]:
         """The next order."""
+        ...
+
+    def see(self, open_orders: int) -> None:
+        """Take note of how many orders wait for a vehicle."""
         ...
 
     def set_rate(self, per_h: float, tick: int) -> str:
@@ -56,6 +61,9 @@ class Listed:
         self._at += 1
         return 0, a, b
 
+    def see(self, open_orders: int) -> None:
+        """Listed orders wait for nobody."""
+
     def set_rate(self, per_h: float, tick: int) -> str:
         return "the orders of this scenario are listed; there is no rate to change"
 
@@ -76,6 +84,9 @@ class NoOrders:
 
     def take(self) -> tuple[int, int, int]:
         raise InvariantBroken("there is no order to take")
+
+    def see(self, open_orders: int) -> None:
+        """Nobody waits."""
 
     def set_rate(self, per_h: float, tick: int) -> str:
         return "the vehicles of this scenario drive to goals of their own; there is no rate to change"
@@ -138,6 +149,9 @@ class Poisson:
             self._draw_gap()
         return tick, a, b
 
+    def see(self, open_orders: int) -> None:
+        """Arrivals wait for nobody."""
+
     def set_rate(self, per_h: float, tick: int) -> str:
         self._rate = per_h
         self.start_at(tick)
@@ -160,3 +174,51 @@ class Poisson:
         self._rng.bit_generator.state = plain["rng"]
         self._rate, self._left, self._time = plain["rate"], plain["left"], plain["time"]
         self._initial = plain["initial"]
+
+
+class Backlog:
+    """A closed loop: whenever fewer than `backlog` orders are open, new ones come between kinds of stations.
+
+    The sequence of orders depends on the seed alone, not on how fast they are carried. mix, limit: as for Poisson.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        mix: Sequence[tuple[Sequence[int], Sequence[int], float]],
+        backlog: int,
+        limit: int | None,
+    ):
+        self._rng, self._mix, self._backlog, self._left = rng, mix, backlog, limit
+        weights = np.array([w for _, _, w in mix])
+        self._bounds = np.cumsum(weights / weights.sum()).tolist()
+        self._missing = backlog
+
+    @property
+    def next_tick(self) -> int:
+        return 0 if self._missing > 0 and self._left != 0 else FOREVER
+
+    def take(self) -> tuple[int, int, int]:
+        which, origin, target = self._rng.random(3).tolist()
+        sources, targets, _ = self._mix[min(bisect_right(self._bounds, which), len(self._mix) - 1)]
+        a, b = sources[int(origin * len(sources))], targets[int(target * len(targets))]
+        self._missing -= 1
+        if self._left is not None:
+            self._left -= 1
+        return 0, a, b
+
+    def see(self, open_orders: int) -> None:
+        self._missing = self._backlog - open_orders
+
+    def set_rate(self, per_h: float, tick: int) -> str:
+        return "the orders of this scenario come as fast as they are carried; there is no rate to change"
+
+    def start_at(self, tick: int) -> None:
+        self._missing = self._backlog
+
+    def to_plain(self) -> dict[str, Any]:
+        return {"rng": self._rng.bit_generator.state, "left": self._left, "missing": self._missing}
+
+    def restore(self, plain: Mapping[str, Any]) -> None:
+        self._rng.bit_generator.state = plain["rng"]
+        self._left, self._missing = plain["left"], plain["missing"]

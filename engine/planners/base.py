@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +62,15 @@ class Search(Protocol):
         """mJ of that way for the least class, empty and rolling, standby included."""
         ...
 
-    def through(self, view: View, objective: str, budget: Budget) -> Plan:
-        """The best plan for the view's request against its reservations, by `time` or `energy`."""
+    def by_edge(self, name: str, version: int, costs: NDArray[np.int64]) -> Rows:
+        """Backward tables over poses with a cost per edge (E,), kept under a name until its version changes."""
+        ...
+
+    def through(self, view: View, objective: str, budget: Budget, within: float = 1.0) -> Plan:
+        """The best plan for the view's request against its reservations, by `time` or `energy`.
+
+        within: by time, how many times longer than the best it may take, in eighths.
+        """
         ...
 
 
@@ -146,7 +153,8 @@ class Promise:
     """What a planner serves and guarantees; menus offer only what fits.
 
     mode: `lifelong` answers one vehicle's request at a time, `one-shot` plans all vehicles to their goals at once
-    · connectivity: neighbours of a cell · turnings: of `motion.turning` · unit: needs motions of one tick each.
+    · connectivity: neighbours of a cell · turnings: of `motion.turning` · unit: needs motions of one tick each
+    · cells: needs a floor of cells, not a network.
     """
 
     summary: str
@@ -159,6 +167,16 @@ class Promise:
     connectivity: frozenset[int] = frozenset({4, 8})
     turnings: frozenset[str] = frozenset({"arc", "pivot"})
     unit: bool = False
+    cells: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """What arcs took during one period, by place (P,): number of visits, and their ticks summed."""
+
+    samples: NDArray[np.int64]
+    total_ticks: NDArray[np.int64]
+    tick_s: float
 
 
 class Planner(Protocol):
@@ -172,6 +190,17 @@ class Planner(Protocol):
 
     def plan(self, view: View, memory: Memory, budget: Budget) -> tuple[Plan, Memory]:
         """Answer the view's request."""
+        ...
+
+
+@runtime_checkable
+class Learner(Protocol):
+    """A planner or router that learns from what arcs took; its memory then has `expected_ms` (P,)."""
+
+    refresh_s: float
+
+    def learn(self, observed: Observed, memory: Memory) -> Memory:
+        """Called at the beginning, with nothing observed, and then after every period."""
         ...
 
 

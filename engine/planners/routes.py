@@ -36,6 +36,7 @@ class AStarRoutes:
         summary="a shortest route on the empty floor, made safe by waiting",
         optimal="in distance, on an empty floor",
         turnings=frozenset({"arc"}),
+        cells=True,
     )
 
     def __post_init__(self) -> None:
@@ -71,6 +72,7 @@ class EeaRoutes:
         optimal="in energy, on an empty floor",
         objectives=("energy",),
         turnings=frozenset({"arc"}),
+        cells=True,
         connectivity=frozenset({4}),
     )
 

@@ -31,6 +31,7 @@ class FloorSearch:
         pivots = any(p.pivot for p in graph.primitives)
         self.time = Tables(graph, packed(graph.kind_ticks, least), poses=not pivots)
         self.energy = Tables(graph, packed_energy(graph.kind_ticks, least), poses=False)
+        self._by_edge: dict[str, tuple[int, Tables]] = {}
         self._work = sipp.new_work(1 << 14, 1)
         self._out = np.zeros(2, np.int64)
         self._steps = [np.zeros(1 << 14, np.int32) for _ in range(3)]
@@ -41,6 +42,14 @@ class FloorSearch:
             for a, b in set(zip(graph.edge_kind.tolist(), twin.tolist(), strict=True))
         ]
         self.restart_mj = max([0, *extra])
+
+    def by_edge(self, name: str, version: int, costs: NDArray[np.int64]) -> Tables:
+        """Backward tables over poses with a cost per edge, kept under a name until its version changes."""
+        held = self._by_edge.get(name)
+        if held is None or held[0] != version:
+            held = (version, Tables(self.graph, costs, poses=True, per_edge=True))
+            self._by_edge[name] = held
+        return held[1]
 
     def ticks_to(self, goal: int, state: int) -> int:
         """Ticks from a state to a place on an empty floor; FAR >> TICK when there is no way."""
@@ -56,11 +65,13 @@ class FloorSearch:
         """mJ (least class and load, rolling) of the quickest way from a state to a place on an empty floor."""
         return self.time.cost(goal, state) & ((1 << TICK) - 1)
 
-    def through(self, view: View, objective: str, budget: Budget) -> Plan:
-        """The best plan through the request's legs by `time` or `energy`."""
+    def through(self, view: View, objective: str, budget: Budget, within: float = 1.0) -> Plan:
+        """The best plan through the request's legs by `time` or `energy`; by time at most `within` times as long."""
         r = view.request
         if not r.legs:
             return no_plan(PlanStatus.INCONSISTENT, note="a request without goals")
+        if len(r.legs) > sipp.MAX_LEGS:
+            return no_plan(PlanStatus.INCONSISTENT, note=f"a request with more than {sipp.MAX_LEGS} goals")
         by = [r.tick] * (len(r.legs) - 1) + [FOREVER]
         if any(taken_for_good(view.claims, leg.place, tick) for leg, tick in zip(r.legs, by, strict=True)):
             return no_plan(PlanStatus.NO_PATH)
@@ -81,7 +92,8 @@ class FloorSearch:
             if objective == "time":
                 status = sipp.search_time(
                     view.claims, ground, self._work, hold, view.margin_ticks, r.state, r.gap, r.tick, goals, stays,
-                    tables.pool, slots, tables.shift, kind_mj, standby, budget.expansions, self._out,
+                    tables.pool, slots, tables.shift, kind_mj, standby, int(8 * within),
+                    budget.expansions, self._out,
                 )  # fmt: skip
             else:
                 calm = settled(view.claims)

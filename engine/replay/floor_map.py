@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from engine.replay import looks
 from engine.types import StationKind
-from engine.world.floor import ONE_WAY, World
+from engine.world.floor import ONE_WAY, GridWorld, World
+from engine.world.network import NetworkWorld
 
 PIXELS_PER_SIDE = 2048
 """The floor's picture is no larger, however many cells there are."""
@@ -19,6 +20,7 @@ _STATION_COLOURS: dict[StationKind, looks.RGBA] = {
     StationKind.INBOUND: (77, 208, 225, 255),
     StationKind.OUTBOUND: (200, 140, 240, 255),
     StationKind.RACK: (214, 170, 110, 255),
+    StationKind.ENTRANCE: (77, 208, 225, 255),
     StationKind.STATION: (200, 200, 200, 255),
 }
 
@@ -27,10 +29,9 @@ class View2D:
     """From the floor's metres, y upwards, to the recording's metres, y downwards from the floor's upper edge."""
 
     def __init__(self, world: World) -> None:
-        self.cell_m = world.cell_mm / 1000
-        self.wide = max(world.width, world.height) > looks.WIDE_CELLS
-        self.width_m = world.width * self.cell_m
-        self.height_m = world.height * self.cell_m
+        self.cell_m = world.grain_m
+        self.width_m, self.height_m = world.size_m
+        self.wide = max(self.width_m, self.height_m) / self.cell_m > looks.WIDE_CELLS
 
     def xy(self, xy_m: NDArray[Any]) -> NDArray[np.float32]:
         """(…, 2) positions in the recording."""
@@ -46,11 +47,15 @@ def log_floor(recording: rr.RecordingStream, world: World, view: View2D) -> None
         recording.log(path, *what, static=True, strict=True)
 
     static(looks.MAP, looks.class_names())
-    picture, per_cell = floor_picture(world.cells)
-    metres = view.cell_m / per_cell
-    static(looks.FLOOR, rr.SegmentationImage(picture), rr.Transform3D(scale=[metres, metres, 1.0]))
-
     xy = view.xy(world.graph.xy_m)
+    if isinstance(world, GridWorld):
+        picture, per_cell = floor_picture(world.cells)
+        metres = view.cell_m / per_cell
+        static(looks.FLOOR, rr.SegmentationImage(picture), rr.Transform3D(scale=[metres, metres, 1.0]))
+        _log_one_way(static, world, view)
+    elif isinstance(world, NetworkWorld):
+        arcs = xy[[(arc.a, arc.b) for arc in world.arcs]]
+        static(looks.FLOOR, rr.LineStrips2D(arcs, colors=(96, 112, 134, 255), radii=0.02 * view.cell_m))
     if world.stations:
         places = np.array([s.place for s in world.stations])
         labels = [s.name for s in world.stations]
@@ -66,7 +71,6 @@ def log_floor(recording: rr.RecordingStream, world: World, view: View2D) -> None
                 path,
                 _bays(xy[places], view.cell_m, [colour] * len(places), labels, show=len(places) <= looks.MANY_LABELS),
             )
-    _log_one_way(static, world, view)
 
 
 def _bays(centres: NDArray[Any], cell_m: float, colours: Any, labels: list[str], *, show: bool) -> rr.Boxes2D:
@@ -80,7 +84,7 @@ def _bays(centres: NDArray[Any], cell_m: float, colours: Any, labels: list[str],
     )
 
 
-def _log_one_way(static: Any, world: World, view: View2D) -> None:
+def _log_one_way(static: Any, world: GridWorld, view: View2D) -> None:
     origins, vectors = [], []
     for letter, direction in ONE_WAY.items():
         for y, x in np.argwhere(world.cells == ord(letter)).tolist():

@@ -13,10 +13,14 @@ from engine.results.runlog import Log, latest_keyframe
 from engine.results.schema import ENERGY_COLUMNS
 from engine.results.timeline import overlap_sums
 from engine.results.view import ACTIVITIES, CAUSE_WORDS, GROUP
-from engine.types import COMPONENTS, FOREVER, NONE, PRIMITIVE_0, Activity, Component, OrderState
+from engine.traffic import DETOUR
+from engine.types import COMPONENTS, FOREVER, NONE, PRIMITIVE_0, Activity, Component, OrderState, PlanStatus
 
 SLICES = 48
 """Number of equal slices in which occupancy over time is given."""
+_NOT_FOUND = tuple(
+    str(s) for s in (PlanStatus.NO_PATH, PlanStatus.BUDGET_SPENT, PlanStatus.INCONSISTENT, PlanStatus.CHARGE)
+)
 _NOT_DRAWN = (Component.CHARGED, Component.CHARGER_LOSS)
 
 
@@ -163,9 +167,11 @@ def _planning(reader: Log) -> dict[str, Any]:
     """CPU time of the planner per plan; the wall clock's only trace in a log, and outside the digest."""
     plans = reader.table("plans")
     cpu = plans["cpu_us"]
+    status = plans["status"].astype(str)
     return {
         "plans": len(cpu),
-        "plans_failed": int(np.isin(plans["status"].astype(str), ("solved", "bounded"), invert=True).sum()),
+        "plans_failed": int(np.isin(status, _NOT_FOUND).sum()),
+        "plans_detoured": int((status == DETOUR).sum()),
         "planner_p50_ms": float(np.percentile(cpu, 50)) / 1000.0 if len(cpu) else None,
         "planner_p95_ms": float(np.percentile(cpu, 95)) / 1000.0 if len(cpu) else None,
     }

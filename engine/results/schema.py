@@ -74,6 +74,16 @@ TABLES: dict[str, dict[str, str]] = {
     "commands": {"tick": I32, "number": I32, "command": TEXT, "accepted": I8, "reason": TEXT},
     # Blocked places over time (operator's or faults'): blocked 1 or 0.
     "blocks": {"tick": I32, "place": I32, "blocked": I8},
+    # What driving along each arc took in the period that ended at a tick, and what routers expect of it from then on.
+    "arcs": {
+        "tick": I32,
+        "place": I32,
+        "samples": I32,  # finished visits
+        "mean_ms": I32,  # of those; 0 without any
+        "sd_ms": I32,
+        "busy_ms": I32,  # held
+        "expected_ms": I32,  # of a router that learns; else the arc's own time
+    },
     # What is still open: the running interval of every vehicle, and its counters, at a tick.
     "keyframes": {
         "tick": I32,

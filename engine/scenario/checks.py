@@ -20,7 +20,7 @@ from engine.scenario.model import Scenario
 from engine.scenario.start import start_places
 from engine.types import NONE, StationKind
 from engine.units import J_PER_WH
-from engine.world.floor import Station, World
+from engine.world.floor import GridWorld, Station, World
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -61,7 +61,9 @@ def check(scenario: Scenario, world: World, demand: DemandModel | None = None) -
     graph = place_graph(world)
     main = _main_component(graph, world)
     findings = [*_reachable(world, graph, main), *_well_formed(world)]
-    findings += [*_rest_places(scenario, world), *_starts(scenario, world, main), *_speed(scenario)]
+    findings += [*_rest_places(scenario, world), *_starts(scenario, world, main)]
+    if isinstance(world, GridWorld):
+        findings += _speed(scenario)
     if any(f.level == "error" and f.check in ("reachable", "one-way") for f in findings):
         text = "not checked: stations or chargers can't be reached"
         return [*findings, Finding("warning", "battery", text)]
@@ -100,8 +102,9 @@ def ill_formed_pairs(world: World, limit: int | None = None) -> list[tuple[int, 
     import networkx as nx
 
     graph = place_graph(world)
-    ends = np.flatnonzero(world.endpoint).tolist()
-    aisles = graph.subgraph(np.flatnonzero(~world.endpoint).tolist())
+    closed = _closed(world)
+    ends = np.flatnonzero(closed).tolist()
+    aisles = graph.subgraph(np.flatnonzero(~closed).tolist())
     attached = all(any(n in aisles for n in graph.succ[e]) and any(n in aisles for n in graph.pred[e]) for e in ends)
     if attached and len(aisles) and nx.is_strongly_connected(aisles):
         return []
@@ -117,6 +120,16 @@ def ill_formed_pairs(world: World, limit: int | None = None) -> list[tuple[int, 
                 if len(pairs) == limit:
                     return pairs
     return pairs
+
+
+def _closed(world: World) -> NDArray[np.bool_]:
+    """(P,) places through which no path may need to lead: endpoints of a drawing; kerbs of a network, whose stations
+    are through nodes where nobody stays for good."""
+    if isinstance(world, GridWorld):
+        return world.endpoint
+    closed = np.zeros(world.n_places, np.bool_)
+    closed[world.parking] = closed[world.chargers] = True
+    return closed
 
 
 def _arcs(world: World) -> NDArray[np.int64]:
@@ -196,13 +209,13 @@ def _rest_places(scenario: Scenario, world: World) -> Iterator[Finding]:
         yield Finding("warning", "rest places", text)
     else:
         yield Finding("ok", "rest places", f"{have} for {fleet} vehicles")
-    if not chargers:
+    if not chargers and scenario.battery.exchange == "none":
         yield Finding("warning", "rest places", "the floor has no charger: an empty battery stays empty")
 
 
 def _starts(scenario: Scenario, world: World, main: set[int]) -> Iterator[Finding]:
     start = scenario.fleet.start
-    if isinstance(start, str):
+    if isinstance(start, str) or not isinstance(world, GridWorld):
         return
     for vehicle, (x, y) in enumerate(start):
         place = world.place_at(x, y)
@@ -254,6 +267,7 @@ def _battery_to_goals(scenario: Scenario, world: World, demand: DemandModel | No
         yield Finding("warning", "battery", text)
         return
     starts, goals = start_places(scenario, world), goal_places(scenario, world)
+    assert isinstance(world, GridWorld)  # goals are cells
     cells = world.cell_of_place
     away = np.abs(cells[list(goals)] - cells[list(starts)]).sum(1)
     ticks = _tick_matrix(world)
@@ -368,7 +382,7 @@ def leg_energy_j(scenario: Scenario, world: World, demand: DemandModel, leg: Leg
 
 
 def _own_demand(scenario: Scenario) -> DemandModel | None:
-    from engine.energy import constant, parameter_sets, xu2025
+    from engine.energy import constant, lian2024, parameter_sets, xu2025
 
     given = scenario.energy.parameters
     if scenario.energy.demand == "constant":
@@ -377,6 +391,9 @@ def _own_demand(scenario: Scenario) -> DemandModel | None:
     if scenario.energy.demand == "xu2025":
         defaults = parameter_sets.xu2025(scenario.motion.speed_mps)
         return xu2025.Xu2025(**parameters_over(defaults, given, "xu2025"))
+    if scenario.energy.demand == "lian2024":
+        defaults = parameter_sets.lian2024(scenario.motion.speed_mps)
+        return lian2024.lian2024(**parameters_over(defaults, given, "lian2024"))
     return None
 
 
@@ -427,9 +444,9 @@ def _leg(world: World, start: int, end: int, loaded: bool) -> Leg:
 
 
 def _state_at_rest(world: World, endpoint: int) -> int:
-    """State of a vehicle standing at an endpoint, heading away from its access cell; facing east elsewhere."""
-    if world.access[endpoint] == NONE:
-        return world.graph.state(endpoint, 0)
+    """State of a vehicle standing at an endpoint, heading away from its access cell; the first elsewhere."""
+    if not isinstance(world, GridWorld) or world.access[endpoint] == NONE:
+        return int(world.graph.place_ptr[endpoint])
     (x, y), (ax, ay) = world.cell_of_place[endpoint], world.cell_of_place[world.access[endpoint]]
     inwards = round(np.degrees(np.arctan2(int(y) - int(ay), int(x) - int(ax)))) % 360
     return world.graph.state(endpoint, world.graph.heading_deg.index(inwards))

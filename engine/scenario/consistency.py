@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,6 +21,7 @@ from engine.world.floor import (
     SIDES,
     STATIONS,
     access_side,
+    build_world,
     cells_from_rows,
     named_endpoints,
 )
@@ -40,12 +41,47 @@ def problems_of(scenario: Scenario) -> list[Problem]:
     problems = [*_floor(scenario), *_levels(scenario), *_times(scenario)]
     if problems and any(p.path[0] == "floor" for p in problems):
         return problems  # stations and cells can't be named on a floor that is wrong
+    if scenario.floor.kind == "network":
+        return [*problems, *_network(scenario)]
     cells = cells_from_rows(scenario.floor.drawing())
-    return [*problems, *_access(scenario, cells), *_orders(scenario, cells), *_fleet(scenario, cells)]
+    counts = {kind: int((cells == ord(letter)).sum()) for letter, kind in STATIONS.items()}
+    return [*problems, *_access(scenario, cells), *_orders(scenario, counts, cells), *_fleet(scenario, cells)]
+
+
+def _network(scenario: Scenario) -> Iterator[Problem]:
+    """A network that can be compiled, and orders and starts that fit it."""
+    from engine.world.network import NetworkWorld
+
+    try:
+        world = build_world(scenario)
+    except BadInput as error:
+        yield Problem(("floor", "network"), str(error))
+        return
+    assert isinstance(world, NetworkWorld)
+    counts = {kind: len(world.stations_of(kind)) for kind in StationKind}
+    yield from _orders(scenario, counts)
+    if scenario.fleet.heading != "best":
+        text = f"got {scenario.fleet.heading!r}; on a network vehicles look along their kerbs ('best')"
+        yield Problem(("fleet", "heading"), text)
+    if not isinstance(scenario.fleet.start, str):
+        yield Problem(("fleet", "start"), "a network has no cells; vehicles start on its kerbs ('parking')")
+    elif scenario.fleet.count > len(world.parking):
+        text = f"got {scenario.fleet.count} vehicles, expected at most {len(world.parking)}: so many kerbs there are"
+        yield Problem(("fleet", "count"), text)
 
 
 def _floor(scenario: Scenario) -> Iterator[Problem]:
     floor = scenario.floor
+    if floor.network is not None and floor.kind != "network":
+        yield Problem(("floor", "network"), "only a floor of kind 'network' has this table")
+    if floor.kind == "network":
+        for key in ("rows", "blocks", "map"):
+            if getattr(floor, key) is not None:
+                yield Problem(("floor", key), f"a floor of kind 'network' has no {key}")
+        if floor.network is None or (floor.network.mesh is None) == (not floor.network.nodes):
+            text = "a floor of kind 'network' needs a table [floor.network] with either `mesh` or `nodes` and `arcs`"
+            yield Problem(("floor", "network" if floor.network is not None else "kind"), text)
+        return
     if floor.kind == "blocks":
         if floor.rows is not None:
             yield Problem(("floor", "rows"), "a floor of kind 'blocks' is generated and has no rows")
@@ -118,8 +154,8 @@ def _times(scenario: Scenario) -> Iterator[Problem]:
     for key in ("sample_s", "keyframe_s"):
         if (value := getattr(scenario.log, key)) < time.tick_s:
             yield Problem(("log", key), f"got {value:g}, expected at least one tick of {time.tick_s:g} s")
-    if time.finish != "never" and orders.source == "poisson" and orders.limit is None:
-        text = f"got {time.finish!r}, but poisson orders without orders.limit are never all done"
+    if time.finish != "never" and orders.source in ("poisson", "backlog") and orders.limit is None:
+        text = f"got {time.finish!r}, but {orders.source} orders without orders.limit are never all done"
         yield Problem(("time", "finish"), text)
     if (time.finish == "goals reached") != (orders.source == "goals") and time.finish != "never":
         wanted = "'goals reached' or 'never'" if orders.source == "goals" else "an end that orders can bring"
@@ -131,13 +167,18 @@ def _times(scenario: Scenario) -> Iterator[Problem]:
         yield Problem(("faults", "delay_ticks"), f"got [{low}, {high}], expected [shortest, longest]")
 
 
-def _orders(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:
+def _orders(
+    scenario: Scenario, counts: Mapping[StationKind, int], cells: NDArray[np.uint8] | None = None
+) -> Iterator[Problem]:
+    """counts: stations of each kind · cells: of a floor that has some."""
     orders = scenario.orders
     if orders.source == "goals":
-        yield from _cells(scenario, cells, orders.goals, ("orders", "goals"))
+        if cells is None:
+            yield Problem(("orders", "source"), "got 'goals', which are cells, and a network has none")
+        else:
+            yield from _cells(scenario, cells, orders.goals, ("orders", "goals"))
         return
-    counts = {kind: int((cells == ord(letter)).sum()) for letter, kind in STATIONS.items()}
-    total = sum(counts.values())
+    total = sum(n for kind, n in counts.items() if kind is not StationKind.STATION)
     if orders.source == "listed":
         if not orders.pairs:
             yield Problem(("orders", "pairs"), "listed orders need at least one pair of station numbers")
@@ -149,7 +190,7 @@ def _orders(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:
         return
     for i, item in enumerate(orders.mix):
         for key, kind in (("from", item.from_), ("to", item.to)):
-            if not (total if kind == "station" else counts[StationKind(kind)]):
+            if not (total if kind == "station" else counts.get(StationKind(kind), 0)):
                 yield Problem(("orders", "mix", i, key), f"the floor has no {kind} station")
 
 

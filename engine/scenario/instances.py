@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from engine.errors import FormatError, ScenarioError
 from engine.scenario.model import Scenario
 from engine.scenario.reading import from_dict
+from engine.world.floor import GridWorld
 
 if TYPE_CHECKING:
     from engine.world.floor import World
@@ -74,6 +75,6 @@ def _slug(stem: str) -> str:
 
 def goal_places(scenario: Scenario, world: World) -> tuple[int, ...]:
     """Goal of every vehicle as a place; empty where orders come from elsewhere."""
-    if scenario.orders.source != "goals":
+    if scenario.orders.source != "goals" or not isinstance(world, GridWorld):
         return ()
     return tuple(world.place_at(x, y) for x, y in scenario.orders.goals)

@@ -6,17 +6,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
+from engine.errors import BadInput, unknown_name
 from engine.scenario.blocks import rows_of_blocks
-from engine.types import Occupancy
+from engine.types import Occupancy, StationKind
 from engine.world.floor import FloorPlan
 from engine.world.grid import GridMotion
+from engine.world.network import Arc, NetworkPlan, Node, mesh
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Ticks = Annotated[int, Field(ge=1, le=10_000)]
 StationNumber = Annotated[int, Field(ge=1)]
-KindName = Literal["inbound", "outbound", "rack", "station"]
+KindName = Literal["inbound", "outbound", "rack", "entrance", "station"]
 CellXY = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
 SoC = Annotated[float, Field(gt=0, le=1)]
 TERRAIN = str.maketrans({**dict.fromkeys(".GSE", "."), **dict.fromkeys("@OTW", "#")})
@@ -57,13 +59,66 @@ class BlocksSection(Section):
     parking: int = Field(default=8, ge=0, description="Parking bays, spread evenly over the blocks")
 
 
+class NodeItem(Section):
+    """A node of a network; with a kind it is a station."""
+
+    name: str = Field(min_length=1, max_length=40)
+    x: float
+    y: float
+    kind: KindName | None = None
+
+
+class ArcItem(Section):
+    """A way between two nodes by their names; without a length as long as they are apart."""
+
+    from_: str = Field(validation_alias=AliasChoices("from", "from_"), serialization_alias="from")
+    to: str
+    length_m: Positive | None = None
+    one_way: bool = False
+
+
+class MeshSection(Section):
+    """A rectangular network; the outermost columns are entrances, all other nodes racks."""
+
+    columns: int = Field(default=14, ge=2, le=200, description="Nodes from west to east")
+    rows: int = Field(default=8, ge=2, le=200, description="Nodes from south to north")
+    spacing_m: Positive = Field(default=0.9, le=1000, description="Length of an arc in metres")
+
+
+class NetworkSection(Section):
+    """A path network: a mesh, or nodes and arcs."""
+
+    mesh: MeshSection | None = Field(default=None, description="A rectangular network")
+    nodes: tuple[NodeItem, ...] = Field(default=(), description="Nodes {name, x, y, kind}, in metres")
+    arcs: tuple[ArcItem, ...] = Field(default=(), description="Arcs {from, to, length_m, one_way}")
+    kerbs: int = Field(default=64, ge=1, le=100_000, description="Lanes on which vehicles may rest")
+
+    def parts(self) -> tuple[tuple[Node, ...], tuple[Arc, ...]]:
+        """Nodes and arcs. Raises BadInput for an arc to an unknown node."""
+        if self.mesh is not None:
+            return mesh(self.mesh.columns, self.mesh.rows, self.mesh.spacing_m)
+        nodes = tuple(Node(i.name, i.x, i.y, StationKind(i.kind) if i.kind else None) for i in self.nodes)
+        index = {node.name: i for i, node in enumerate(nodes)}
+        arcs: list[Arc] = []
+        for number, item in enumerate(self.arcs, start=1):
+            for name in (item.from_, item.to):
+                if name not in index:
+                    raise BadInput(f"arc {number}: {unknown_name('node', name, index)}")
+            a, b = nodes[index[item.from_]], nodes[index[item.to]]
+            length = item.length_m or ((a.x_m - b.x_m) ** 2 + (a.y_m - b.y_m) ** 2) ** 0.5
+            arcs.append(Arc(index[item.from_], index[item.to], round(length * 1000), item.one_way))
+        return nodes, tuple(arcs)
+
+
 class FloorSection(Section):
-    kind: Literal["drawing", "blocks", "movingai"] = Field(
-        default="drawing", description="Drawn in `rows`, generated from `blocks`, or `rows` with MovingAI's letters"
+    kind: Literal["drawing", "blocks", "movingai", "network"] = Field(
+        default="drawing",
+        description="Drawn in `rows`, generated from `blocks`, `rows` with MovingAI's letters, or a path network",
     )
     rows: str | None = Field(default=None, description="The drawing, top row first, one letter per cell")
     map: str | None = Field(default=None, description="A MovingAI .map file beside the scenario, read into `rows`")
     blocks: BlocksSection | None = Field(default=None, description="Parameters of the generator `blocks`")
+    network: NetworkSection | None = Field(default=None, description="Nodes and arcs of a network")
     cell_m: Positive = Field(default=1.0, le=100, description="Side of a cell in metres")
     connectivity: Literal[4, 8] = Field(default=4, description="Neighbours of a cell")
     occupancy: Literal["hold", "mapf"] = Field(default="hold", description="How vehicles exclude each other")
@@ -129,6 +184,10 @@ class BatterySection(Section):
     model: str = Field(default="coulomb", min_length=1, description="Battery model, joules to state of charge")
     capacity_wh: Positive = Field(default=1000.0, description="Energy of a full battery")
     voltage_v: Positive = Field(default=48.0, description="Nominal voltage")
+    exchange: Literal["none", "swap"] = Field(
+        default="none",
+        description="swap: who loads or unloads at an entrance gets a full battery when below charging.good",
+    )
     initial_soc: SoC | tuple[SoC, SoC] = Field(
         default=1.0, description="State of charge at the start; [low, high] is drawn per vehicle from the seed"
     )
@@ -166,8 +225,9 @@ class MixItem(Section):
 
 
 class OrdersSection(Section):
-    source: Literal["listed", "poisson", "goals"] = Field(
-        default="poisson", description="Listed pairs, seeded Poisson arrivals, or no orders: every vehicle has a goal"
+    source: Literal["listed", "poisson", "backlog", "goals"] = Field(
+        default="poisson",
+        description="Listed pairs, Poisson arrivals, an ever refilled backlog, or no orders: every vehicle has a goal",
     )
     goals: tuple[CellXY, ...] = Field(
         default=(), description="Cells [[x, y], …] where the vehicles go, one each, and stay"
@@ -185,7 +245,8 @@ class OrdersSection(Section):
         description="Kinds of stations between which Poisson orders go, with weights",
     )
     initial: int = Field(default=0, ge=0, le=10_000, description="Poisson orders already waiting at the start")
-    limit: int | None = Field(default=None, ge=0, description="Number of Poisson orders; none is endless")
+    limit: int | None = Field(default=None, ge=0, description="Number of drawn orders; none is endless")
+    backlog: int = Field(default=8, ge=1, le=10_000, description="Orders that a backlog keeps open")
 
 
 class DispatchSection(Section):
@@ -238,9 +299,20 @@ class Scenario(Section):
     faults: FaultsSection = Field(default_factory=FaultsSection)
     log: LogSection = Field(default_factory=LogSection)
 
-    def floor_plan(self) -> FloorPlan:
-        """The floor as drawn or generated, for engine.world.build_world."""
+    def floor_plan(self) -> FloorPlan | NetworkPlan:
+        """The floor as drawn or generated, for engine.world.build_world. Raises BadInput when it contradicts itself."""
         motion = self.motion
+        if self.floor.kind == "network":
+            nodes, arcs = (self.floor.network or NetworkSection()).parts()
+            return NetworkPlan(
+                nodes=nodes,
+                arcs=arcs,
+                mm_per_tick=motion.speed_mps * self.time.tick_s * 1000,
+                turn_ticks=motion.turn_ticks,
+                kerbs=(self.floor.network or NetworkSection()).kerbs,
+                occupancy=Occupancy(self.floor.occupancy),
+                margin_ticks=self.floor.margin_ticks,
+            )
         return FloorPlan(
             rows=self.floor.drawing(),
             motion=GridMotion(

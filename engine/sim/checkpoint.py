@@ -47,6 +47,8 @@ def save(sim: Simulation, folder: Path) -> None:
     for group in ("fleet", "steps", "claims"):
         for name, array in getattr(sim, group)._asdict().items():
             arrays[f"{group}.{name}"] = array
+    for name, array in sim.learning.times._asdict().items():
+        arrays[f"arcs.{name}"] = array
     for name in ("full", "top_up", "sufficient", "good"):
         arrays[f"levels.{name}"] = getattr(sim.levels, name)
     for name in _OWN:
@@ -66,6 +68,7 @@ def save(sim: Simulation, folder: Path) -> None:
         "source": sim.source.to_plain(),
         "faults": sim.faults.to_plain(),
         "ledger": sim.ledger.to_plain(),
+        "learn_at": sim.learning.next_tick,
         "planner_rng": sim.parts.planner_rng.bit_generator.state,
         "memory": {k: v for k, v in sim.memory.items() if not isinstance(v, np.ndarray)},
     }
@@ -102,6 +105,9 @@ def restore(sim: Simulation, folder: Path, plain: dict[str, Any]) -> None:
         raise RunError(f"the checkpoint {folder.name} can't be read: {why}") from why
     for name, array in sim.fleet._asdict().items():
         array[...] = arrays[f"fleet.{name}"]
+    for name, array in sim.learning.times._asdict().items():
+        array[...] = arrays[f"arcs.{name}"]
+    sim.learning.next_tick = plain["learn_at"]
     sim.steps = Steps(*(arrays[f"steps.{name}"] for name in Steps._fields))
     sim.claims = Claims(*(arrays[f"claims.{name}"] for name in Claims._fields))
     for name in ("full", "top_up", "sufficient", "good"):

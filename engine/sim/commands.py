@@ -78,8 +78,7 @@ def _vehicle(sim: Simulation, v: int) -> int:
 def _place(sim: Simulation, place: int) -> str:
     if not 0 <= place < sim.graph.n_places:
         raise BadInput(f"there is no place {place}; the floor's are numbered 0 to {sim.graph.n_places - 1}")
-    x, y = (int(c) for c in sim.world.cell_of_place[place])
-    return f"({x}, {y})"
+    return sim.world.label(place)
 
 
 def _order(sim: Simulation, source: int, to: int) -> str:
@@ -133,12 +132,12 @@ def _send(sim: Simulation, vehicle: int, place: int) -> str:
     if sim.fleet.order[v] != NONE:
         raise Refused(f"vehicle {v} is busy with order {int(sim.fleet.order[v])}; withdraw it first")
     if sim.blocked[place]:
-        raise Refused(f"cell {cell} is blocked")
+        raise Refused(f"{cell} is blocked")
     holder = int(sim.holder[place])
     if holder not in (NONE, v):
-        raise Refused(f"cell {cell} is taken by vehicle {holder}")
+        raise Refused(f"{cell} is taken by vehicle {holder}")
     if sim.world.endpoint[place] and not operating.is_rest(sim, place):
-        raise Refused(f"cell {cell} is a station; nothing may park there")
+        raise Refused(f"{cell} is a station; nothing may park there")
     if not operating.send_to(sim, v, place):
         raise Refused(f"vehicle {v} found no way to {cell} that ends without blocking others")
     return f"vehicle {v} goes to {cell}"
@@ -182,17 +181,17 @@ def _repair(sim: Simulation, vehicle: int) -> str:
 def _block(sim: Simulation, place: int) -> str:
     cell = _place(sim, place)
     if sim.blocked[place]:
-        raise Refused(f"cell {cell} is already blocked")
+        raise Refused(f"{cell} is already blocked")
     operating.set_block(sim, place, True)
-    return f"cell {cell} is blocked"
+    return f"{cell} is blocked"
 
 
 def _unblock(sim: Simulation, place: int) -> str:
     cell = _place(sim, place)
     if not sim.blocked[place]:
-        raise Refused(f"cell {cell} is not blocked")
+        raise Refused(f"{cell} is not blocked")
     operating.set_block(sim, place, False)
-    return f"cell {cell} is free again"
+    return f"{cell} is free again"
 
 
 def _charger_out(sim: Simulation, charger: int) -> str:

@@ -8,24 +8,31 @@ import numpy as np
 
 from engine.dispatch.base import NOBODY_FREE
 from engine.planners.base import Leg
-from engine.sim import planning, recovery, together
+from engine.sim import operating, planning, recovery, together
 from engine.sim.state import ARRIVED, CHARGED, EMPTY, ORDER_DONE, PICKED, STALLED
-from engine.types import FOREVER, NONE, Activity, OrderState, PlanStatus, Task
+from engine.types import FOREVER, NONE, Activity, OrderState, PlanStatus, StationKind, Task
 from engine.units import ticks_from_s
 
 if TYPE_CHECKING:
     from engine.dispatch.base import Assignment
     from engine.sim.simulation import Simulation
 
+SENT = int(Task.SENT)
 ROUNDS = 4
 """How many times orders are given out anew at one tick when some of them find no way."""
 STAND_BACK_S = 30.0
 """Seconds for which an order that found no way lets others go first."""
 
 
-def decide(sim: Simulation, broken: bool) -> None:
+def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
+    """Act on what happened; when that is only that loads were picked up and nothing else asks, note it."""
+    news = read_marks(sim)
     sim.retry = FOREVER
-    read_marks(sim)
+    if not (news or broken or more or sim.plan_all or unplanned_work(sim)):
+        planning.retime(sim)
+        return
+    sim.source.see(len(sim.book.open))
+    take_orders(sim)
     if broken:
         recovery.break_and_repair(sim)
     recovery.replan(sim)
@@ -70,7 +77,8 @@ def order_row(sim: Simulation, order: int, tick: int | None = None) -> None:
     )  # fmt: skip
 
 
-def read_marks(sim: Simulation) -> None:
+def read_marks(sim: Simulation) -> bool:
+    """Take note of what the kernel tells; False when loads were picked up and nothing else happened."""
     sink = sim.sink
     n = int(sink.filled[3])
     marks = sink.marks[:n].tolist()
@@ -79,6 +87,7 @@ def read_marks(sim: Simulation) -> None:
         if bit == PICKED:
             sim.book.state[order] = int(OrderState.PICKED)
             order_row(sim, order, tick)
+            exchange(sim, v, sim.book.from_station[order])
         elif bit == ORDER_DONE:
             order_done(sim, tick, v, order)
         elif bit == ARRIVED:
@@ -93,6 +102,7 @@ def read_marks(sim: Simulation) -> None:
             recovery.fail(sim, v)
         elif bit == STALLED:
             recovery.unlock(sim, v)
+    return any(mark[2] != PICKED for mark in marks)
 
 
 def order_done(sim: Simulation, tick: int, v: int, order: int) -> None:
@@ -104,12 +114,22 @@ def order_done(sim: Simulation, tick: int, v: int, order: int) -> None:
     target = sim.world.station(book.to_station[order]).name
     sim.say("delivered", f"vehicle {v} has brought order {order} to {target}", 0, v, order, book.to_place[order])
     f.order[v] = NONE
+    exchange(sim, v, book.to_station[order])
     check_low(sim, v)
     at_charger = sim.home[v] != NONE and sim.view.is_charger[sim.home[v]]
     f.task[v] = int(Task.TO_CHARGER if sim.must_charge[v] and at_charger else Task.TO_REST)
 
 
+def exchange(sim: Simulation, v: int, station: int) -> None:
+    """Where batteries are swapped, change that of a vehicle just served at an entrance when it is low."""
+    low = sim.fleet.charge[v] < sim.levels.good[v]
+    if sim.swaps and low and sim.world.station(station).kind is StationKind.ENTRANCE:
+        operating.change_battery(sim, v, 1.0, level=0)
+
+
 def check_low(sim: Simulation, v: int) -> None:
+    if sim.swaps:
+        return  # every order leads to an entrance
     soc = sim.fleet.charge[v] / sim.parts.battery.capacity_mc
     if sim.charge_later[v] or soc < sim.thresholds["good"]:
         sim.charge_later[v] = 0
@@ -132,16 +152,16 @@ def arrived(sim: Simulation, v: int) -> None:
 def refresh_view(sim: Simulation) -> None:
     f, g = sim.fleet, sim.graph
     sim.view.tick = sim.tick
-    driving = f.edge >= 0
-    np.copyto(sim.view.at, np.where(driving, g.edge_to[np.maximum(f.edge, 0)], f.state))
+    # edge -1 reads the last edge, which is then not used
+    np.copyto(sim.view.at, np.where(f.edge >= 0, g.edge_to[f.edge], f.state))
     np.copyto(sim.view.charge_mj, sim.parts.battery.energy_mj(f.charge))
 
 
 def idle_vehicles(sim: Simulation) -> list[int]:
     """Vehicles without an order that could be sent somewhere."""
     f = sim.fleet
-    able = (f.order == NONE) & (f.failed == 0) & (f.paused == 0) & (f.task != Task.SENT)
-    return [v for v in np.flatnonzero(able).tolist() if v not in sim.needs_plan]
+    idle = [v for v, order in enumerate(f.order.tolist()) if order < 0]
+    return [v for v in idle if not (f.failed[v] or f.paused[v] or f.task[v] == SENT or v in sim.needs_plan)]
 
 
 def free_vehicles(sim: Simulation) -> list[int]:
@@ -155,8 +175,9 @@ def charging(sim: Simulation) -> None:
         sim.queue = []
         return
     f = sim.fleet
-    low = np.array(idle)[f.charge[idle] < sim.levels.good[idle]]
-    sim.must_charge[low] = 1
+    for v in idle if not sim.swaps else ():
+        if f.charge[v] < sim.levels.good[v]:
+            sim.must_charge[v] = 1
     if not sim.must_charge.any() and all(home_is_good(sim, v) for v in idle):
         sim.queue = []
         return
@@ -186,7 +207,8 @@ def dispatch(sim: Simulation) -> None:
     refused: dict[int, str] = {}
     hungry = False
     for _ in range(ROUNDS):
-        waiting = [o for o in sim.book.open if sim.not_before.get(o, 0) <= sim.tick]
+        tick = sim.tick
+        waiting = [o for o in sim.book.open if sim.not_before.get(o, 0) <= tick] if sim.not_before else sim.book.open[:]
         free = free_vehicles(sim) if waiting else []
         if not free:
             break
@@ -223,7 +245,7 @@ def charge_first(sim: Simulation, v: int) -> bool:
 def give(sim: Simulation, a: Assignment) -> PlanStatus:
     """Plan an assignment and put it on the floor; NO_PATH or CHARGE when its vehicle finds no way within its charge."""
     book = sim.book
-    pick, drop = planning.service_ticks(sim)
+    pick, drop = sim.view.service_ticks
     legs = (
         Leg(book.from_place[a.order], pick, Activity.PICK, False),
         Leg(book.to_place[a.order], drop, Activity.DROP, True),

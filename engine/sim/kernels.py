@@ -7,9 +7,9 @@ Order within a tick t: intervals that end at t end; deciders are called (outside
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.sim.state import (
     ARRIVED,
     CHARGED,
@@ -27,6 +27,7 @@ from engine.sim.state import (
     LINGERING,
     LOW,
     MARGIN,
+    NC,
     ORDER_DONE,
     PATIENCE,
     PICKED,
@@ -61,7 +62,7 @@ U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def noise(seed: int, vehicle: int, draw: int) -> int:
     """A 63-bit hash (splitmix64) of seed, vehicle and draw number."""
     x = (
@@ -74,7 +75,7 @@ def noise(seed: int, vehicle: int, draw: int) -> int:
     return np.int64((x ^ (x >> np.uint64(31))) >> np.uint64(1))
 
 
-@njit(cache=True, nogil=True)
+@lean
 def close_interval(f: Fleet, g: GraphArrays, sink: Sink, total_mj: I64, v: int, t: int) -> None:
     """Write the open interval of a vehicle to the log, ending at t."""
     if t <= f.t0[v]:
@@ -93,7 +94,7 @@ def close_interval(f: Fleet, g: GraphArrays, sink: Sink, total_mj: I64, v: int, 
     sink.filled[0] = n + 1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def open_interval(
     f: Fleet, g: GraphArrays, sink: Sink, total_mj: I64, v: int, kind: int, cause: int, blocker: int, t: int, t1: int
 ) -> None:
@@ -105,14 +106,14 @@ def open_interval(
     begin_interval(f, v, kind, cause, blocker, t, t1)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def begin_interval(f: Fleet, v: int, kind: int, cause: int, blocker: int, t: int, t1: int) -> None:
     """Set what the open interval is."""
     f.kind[v], f.cause[v], f.blocker[v], f.t0[v], f.t1[v] = kind, cause, blocker, t, t1
     f.of_order[v], f.of_task[v] = f.order[v], f.task[v]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def mark(f: Fleet, sink: Sink, clock: I64, v: int, bit: int, t: int) -> None:
     """Tell the deciders."""
     clock[DECIDE] = 1
@@ -121,7 +122,7 @@ def mark(f: Fleet, sink: Sink, clock: I64, v: int, bit: int, t: int) -> None:
     sink.filled[3] = n + 1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def leave(c: Claims, clock: I64, linger: I32, slot: int) -> None:
     """A vehicle has left a claimed place: the claim goes now, or after the margin."""
     if clock[MARGIN] == 0:
@@ -131,7 +132,7 @@ def leave(c: Claims, clock: I64, linger: I32, slot: int) -> None:
         clock[LINGERING] += 1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def finish(
     f: Fleet, g: GraphArrays, c: Claims, sink: Sink, total_mj: I64, clock: I64, linger: I32, v: int, t: int
 ) -> None:
@@ -159,11 +160,12 @@ def finish(
         f.done[v] += 1
         mark(f, sink, clock, v, ORDER_DONE, t)
     begin_interval(f, v, WAIT, C_PLANNED, NONE, t, FOREVER)
+    f.wake[v] = t
     if f.step[v] == f.steps[v]:
         mark(f, sink, clock, v, ARRIVED, t)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def first(c: Claims, slot: int) -> int:
     """NONE when a claim is the first of its place, but for its owner's own margin; else the owner of the one before."""
     if slot < 0 or c.owner[c.prev[slot]] == c.owner[slot]:
@@ -171,7 +173,7 @@ def first(c: Claims, slot: int) -> int:
     return c.owner[c.prev[slot]]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def due(
     f: Fleet,
     p: Steps,
@@ -184,7 +186,11 @@ def due(
     v: int,
     t: int,
 ) -> bool:
-    """True when a vehicle's next motion is due at t; otherwise it starts its stay, or says why it stands."""
+    """True when a vehicle's next motion is due at t; otherwise it starts its stay, or says why it stands.
+
+    Sets the tick at which to ask again; until then nothing changes without the deciders.
+    """
+    f.wake[v] = FOREVER
     if f.failed[v]:
         open_interval(f, g, sink, total_mj, v, FAULT, C_NONE, NONE, t, FOREVER)
         return False
@@ -198,16 +204,19 @@ def due(
         if kind == WAIT:
             cause = C_NO_PLAN
         elif kind == CHARGE:
+            f.wake[v] = t + 1
             resting = f.kind[v] == REST and f.t0[v] < t
             if f.charge[v] >= levels.full[v] or (resting and f.charge[v] >= levels.top_up[v]):
                 kind = REST
         open_interval(f, g, sink, total_mj, v, kind, cause, NONE, t, FOREVER)
         return False
     if f.hold[v] > t:
+        f.wake[v] = f.hold[v]
         open_interval(f, g, sink, total_mj, v, WAIT, C_DELAY, NONE, t, FOREVER)
         clock[LATE] = 1
         return False
     if t < p.start[v, k] < FAR:
+        f.wake[v] = p.start[v, k]
         open_interval(f, g, sink, total_mj, v, WAIT, C_PLANNED, NONE, t, FOREVER)
         return False
     if p.edge[v, k] < 0:
@@ -224,6 +233,7 @@ def due(
             f.hold[v] = t + clock[DELAY_LO] + (r // 1_000_000) % (clock[DELAY_HI] - clock[DELAY_LO] + 1)
             clock[LATE] = 1
             if f.hold[v] > t:
+                f.wake[v] = f.hold[v]
                 open_interval(f, g, sink, total_mj, v, WAIT, C_DELAY, NONE, t, FOREVER)
                 return False
     kind = g.edge_kind[motion_now(f, p, g, v, t)]
@@ -235,7 +245,7 @@ def due(
     return True
 
 
-@njit(cache=True, nogil=True)
+@lean
 def motion_now(f: Fleet, p: Steps, g: GraphArrays, v: int, t: int) -> int:
     """Edge of a vehicle's next motion at t: from rest, unless it came rolling into this very tick."""
     e = p.edge[v, f.step[v]]
@@ -243,20 +253,20 @@ def motion_now(f: Fleet, p: Steps, g: GraphArrays, v: int, t: int) -> int:
     return e if (g.edge_from[e] & 1 == 1) == rolling else g.edge_twin[e]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def voltage(levels: Levels, charge: int, capacity: int) -> int:
     """Voltage in mV at a charge, from the battery's table."""
     return levels.voltage_mv[sample_at(levels, charge, capacity)]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def sample_at(levels: Levels, charge: int, capacity: int) -> int:
     """Index of a charge in the battery's tables."""
     last = len(levels.voltage_mv) - 1
     return min(max(charge * last // capacity, 0), last)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def start_motion(
     f: Fleet, p: Steps, g: GraphArrays, c: Claims, sink: Sink, total_mj: I64, clock: I64, v: int, t: int
 ) -> None:
@@ -283,7 +293,7 @@ def start_motion(
         f.sweep[v, 0], f.sweep[v, 1] = p.sweep0[v, k], p.sweep1[v, k]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def cross(f: Fleet, p: Steps, g: GraphArrays, v: int, w: int) -> bool:
     """True when the next motion of w is the other diagonal of the block over which v drives next."""
     at, b = g.sweep_ptr[p.edge[v, f.step[v]]], p.edge[w, f.step[w]]
@@ -292,7 +302,7 @@ def cross(f: Fleet, p: Steps, g: GraphArrays, v: int, w: int) -> bool:
     return (x == here and y == there) or (x == there and y == here)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def start_steps(
     f: Fleet,
     p: Steps,
@@ -312,7 +322,7 @@ def start_steps(
     n = len(f.state)
     for v in range(n):
         go[v] = 0
-        if f.t1[v] < FOREVER or not due(f, p, g, sink, total_mj, standby_mj, levels, clock, v, t):
+        if f.wake[v] > t or f.t1[v] < FOREVER or not due(f, p, g, sink, total_mj, standby_mj, levels, clock, v, t):
             continue
         go[v] = GO
         k = f.step[v]
@@ -348,6 +358,7 @@ def start_steps(
         if go[v] == GO:
             start_motion(f, p, g, c, sink, total_mj, clock, v, t)
         elif go[v] != 0:
+            f.wake[v] = t + 1
             clock[LATE] = 1
             if f.stalled[v] < 0:
                 f.stalled[v] = t
@@ -359,7 +370,7 @@ def start_steps(
                 open_interval(f, g, sink, total_mj, v, WAIT, C_VEHICLE, wait_for[v], t, FOREVER)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def show_states(f: Fleet, sink: Sink, t: int) -> None:
     """A states row for every vehicle whose state, task, order or reason changed."""
     for v in range(len(f.state)):
@@ -387,7 +398,7 @@ def show_states(f: Fleet, sink: Sink, t: int) -> None:
             sink.filled[2] += 1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def draw_energy(
     f: Fleet, g: GraphArrays, sink: Sink, mj: I64, standby_mj: I64, levels: Levels, clock: I64, t: int
 ) -> None:
@@ -432,19 +443,20 @@ def draw_energy(
             mark(f, sink, clock, v, EMPTY, t + 1)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def sample(f: Fleet, sink: Sink, levels: Levels, t: int) -> None:
     """A battery row for every vehicle."""
     for v in range(len(f.state)):
         row = sink.battery[sink.filled[1]]
         row[0], row[1], row[2] = t, v, f.charge[v]
         row[3] = voltage(levels, f.charge[v], levels.capacity[v])
-        row[4:] = f.ledger[v]
+        for i in range(NC):
+            row[4 + i] = f.ledger[v, i]
         f.sampled[v] = f.charge[v]
         sink.filled[1] += 1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def run(
     f: Fleet,
     p: Steps,
@@ -464,6 +476,7 @@ def run(
 ) -> int:
     """Advance to tick `until`. 0: arrived there · 1: somebody must decide at clock[TICK] · 2: row buffers are full."""
     n = len(f.state)
+    f.wake[:] = clock[TICK]  # the deciders may have changed anything
     while True:
         t = clock[TICK]
         if clock[HALF] == 0:
@@ -496,7 +509,7 @@ def run(
         clock[HALF] = 0
 
 
-@njit(cache=True, nogil=True)
+@lean
 def digest(lanes: U64, rows: I64, count: int) -> None:
     """Fold rows of integers into two 64-bit lanes, in order; independent of how rows are batched."""
     a, b = lanes[0], lanes[1]

@@ -55,10 +55,10 @@ class Ledger:
 
     def row(self, table: str, *values: Any) -> None:
         """One row of a table, values in the order of its columns."""
-        skip = OUTSIDE_DIGEST.get(table, frozenset())
         if table not in NOT_IN_DIGEST:
-            kept = [v for c, v in zip(TABLES[table], values, strict=True) if c not in skip]
-            text = json.dumps([table, *kept], separators=(",", ":"), default=_plain)
+            skip = OUTSIDE_DIGEST.get(table)
+            kept = values if skip is None else [v for c, v in zip(TABLES[table], values, strict=True) if c not in skip]
+            text = _ENCODE([table, *kept])
             self._chain = hashlib.blake2b(self._chain + text.encode(), digest_size=16).digest()
         self.rows[table] += 1
         if self.recorder is not None:
@@ -98,3 +98,6 @@ class Ledger:
 
 def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else int(value)
+
+
+_ENCODE = json.JSONEncoder(separators=(",", ":"), default=_plain).encode

@@ -43,8 +43,7 @@ def set_block(sim: Simulation, place: int, blocked: bool) -> None:
     sim.blocked[place] = int(blocked)
     sim.block_version += 1
     sim.ledger.row("blocks", sim.tick, place, int(blocked))
-    x, y = (int(c) for c in sim.world.cell_of_place[place])
-    sim.say("blocked" if blocked else "unblocked", f"cell ({x}, {y})", int(blocked), NONE, NONE, place)
+    sim.say("blocked" if blocked else "unblocked", sim.world.label(place), int(blocked), NONE, NONE, place)
     if not blocked:
         sim.try_at[:] = sim.together_at = 0
         return
@@ -88,11 +87,11 @@ def set_charger(sim: Simulation, charger: int, *, works: bool) -> None:
         planning.drop_plan(sim, v)
 
 
-def change_battery(sim: Simulation, v: int, share: float) -> None:
-    """A vehicle gets another battery, charged to a share of its capacity."""
+def change_battery(sim: Simulation, v: int, share: float, level: int = 1) -> None:
+    """A vehicle gets another battery, charged to a share of its capacity. level: of the event."""
     sim.fleet.charge[v] = round(int(sim.levels.capacity[v]) * share)
     sim.fleet.rest[v] = 0
-    sim.say("battery changed", f"vehicle {v} got a battery at {100 * share:.0f} %", 1, v)
+    sim.say("battery changed", f"vehicle {v} got a battery at {100 * share:.0f} %", level, v)
 
 
 def set_thresholds(sim: Simulation, new: dict[str, float]) -> None:

@@ -161,7 +161,7 @@ def commit(sim: Simulation, v: int, plan: Plan) -> None:
 
 def plan_row(sim: Simulation, v: int, plan: Plan, task: Task, order: int, tick: int, cpu_us: int) -> None:
     c, p, f = sim.claims, sim.steps, sim.fleet
-    slots = [int(f.here[v]), *(int(s) for s in p.claim[v, : len(plan.edges)] if s >= 0)]
+    slots = [int(f.here[v]), *(s for s in p.claim[v, : len(plan.edges)].tolist() if s >= 0)]
     end = int(plan.ends[-1]) if len(plan.ends) else tick
     sim.ledger.row(
         "plans", sim.tick, v, int(task), order, plan.note or str(plan.status), c.place[slots].tolist(),

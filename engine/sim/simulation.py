@@ -24,7 +24,7 @@ from engine.orders.sources import OrderSource
 from engine.planners import Solver
 from engine.planners.base import Memory, Planner, Search
 from engine.scenario.model import Scenario
-from engine.sim import checkpoint, deciding, kernels, operating, planning
+from engine.sim import checkpoint, deciding, kernels, learning, operating, planning
 from engine.sim.commands import Answer, submit
 from engine.sim.faults import Faults
 from engine.sim.ledger import Ledger, Recorder
@@ -101,6 +101,7 @@ class Simulation:
         self.book = OrderBook()
         self.source, self.faults = parts.source, parts.faults
         self.search = parts.search
+        self.swaps = parts.scenario.battery.exchange == "swap"
         self.goals = parts.goals
         self.plan_all = True  # everybody with a goal is to be planned at the next occasion
         self.together_at, self.together_pause = 0, 1
@@ -125,6 +126,8 @@ class Simulation:
         self.deadlocks = 0
         self.retry = FOREVER
         self.view = self._floor_view()
+        self.learning = learning.Learning(self)
+        learning.begin(self)
         self._begin()
 
     def _levels(self, n: int) -> Levels:
@@ -199,8 +202,13 @@ class Simulation:
 
     def digest(self) -> str:
         """Hex digest of everything that happened so far; the same however often the log was flushed."""
-        self.ledger.drain(self.sink)
+        self.drain()
         return self.ledger.digest()
+
+    def drain(self) -> None:
+        """Take the kernel's rows: arc times from the motions, then all to the ledger."""
+        self.learning.see(self.sink.motions, int(self.sink.filled[0]))
+        self.ledger.drain(self.sink)
 
     def metrics(self) -> dict[str, Any]:
         """A few counters of the moment."""
@@ -247,7 +255,7 @@ class Simulation:
         target = first + ticks
         c = self.clock
         while not self.done:
-            wake = min(target, self.source.next_tick, self.faults.next_tick, self.retry)
+            wake = min(target, self.source.next_tick, self.faults.next_tick, self.retry, self.learning.next_tick)
             status = kernels.run(
                 self.fleet, self.steps, self.arrays, self.claims, self.sink, self.parts.costs.mj,
                 self.parts.costs.total_mj, self.parts.costs.standby_mj, self.levels, c, self.blocked, self.linger,
@@ -255,19 +263,22 @@ class Simulation:
             )  # fmt: skip
             self.view.tick = self.tick
             if status == 2:
-                self.ledger.drain(self.sink)
+                self.drain()
                 continue
+            if self.learning.next_tick <= self.tick:
+                learning.refresh(self)
             arrived = deciding.take_orders(self) if self.source.next_tick <= self.tick else False
             broken = self.faults.next_tick <= self.tick
-            if status == 1 or arrived or broken or self.retry <= self.tick:
-                deciding.decide(self, broken)
+            again = self.retry <= self.tick
+            if status == 1 or arrived or broken or again:
+                deciding.decide(self, broken, arrived or again)
             if status == 0 and self.tick >= target:
                 break
         return self.tick - first
 
     def flush(self) -> None:
         """Hand all rows to the recorder, and a keyframe row per vehicle for what is still open."""
-        self.ledger.drain(self.sink)
+        self.drain()
         self.ledger.flush()
         if self.ledger.recorder is not None:
             self.ledger.send("keyframes", self._open_rows())
@@ -323,6 +334,11 @@ class Simulation:
         self.parts = replace(
             parts, world=old.world, search=old.search, costs=old.costs, battery=old.battery, power_mj=old.power_mj
         )
+        if parts.planner != old.planner or parts.solver != old.solver:
+            times = self.learning.times
+            self.learning = learning.Learning(self)
+            self.learning.times = times
+            learning.begin(self)
         self.scenario = parts.scenario
         if not keep_orders:
             self.source = parts.source

@@ -60,6 +60,7 @@ class Fleet(NamedTuple):
     drawn: I32  # step for which a delay was last drawn
     motions: I32  # motions started
     stalled: I32  # tick since which it has waited for somebody, or -1
+    wake: I32  # a standing vehicle need not be asked before this tick
     shown: I32  # (V, 5) last row of the states table
 
 
@@ -104,7 +105,7 @@ def new_fleet(n: int) -> Fleet:
         rolled=i32(-1), loaded=i8(), order=i32(NONE), task=i8(), final=i8(Activity.REST), step=i32(), steps=i32(),
         here=i32(NONE), back=i32(NONE), sweep=np.full((n, 2), NONE, np.int32), charge=i64(), rest=i64(),
         ledger=np.zeros((n, NC), np.int64), sampled=i64(), distance=i64(), done=i32(), cls=i8(), paused=i8(),
-        failed=i8(), hold=i32(), drawn=i32(-1), motions=i32(), stalled=i32(-1),
+        failed=i8(), hold=i32(), drawn=i32(-1), motions=i32(), stalled=i32(-1), wake=i32(),
         shown=np.full((n, 5), -2, np.int32),
     )  # fmt: skip
 

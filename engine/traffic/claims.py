@@ -12,9 +12,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.types import FOREVER
 
 I32 = NDArray[np.int32]
@@ -70,7 +70,7 @@ def grown(claims: Claims, n_places: int) -> Claims:
     )
 
 
-@njit(cache=True, nogil=True)
+@lean
 def link(c: Claims, slot: int) -> None:
     """Put an unlinked claim into its place's list, behind every claim that starts no later."""
     at = c.place[slot]
@@ -85,7 +85,7 @@ def link(c: Claims, slot: int) -> None:
         c.prev[after] = slot
 
 
-@njit(cache=True, nogil=True)
+@lean
 def unlink(c: Claims, slot: int) -> None:
     """Take a claim out of its list; its fields stay, so that it can be linked again."""
     before, after = c.prev[slot], c.next[slot]
@@ -96,7 +96,7 @@ def unlink(c: Claims, slot: int) -> None:
     c.prev[slot] = -1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def claim(c: Claims, place: int, start: int, end: int, owner: int) -> int:
     """A new linked claim; its slot, or -1 when there is no room."""
     if c.meta[0] == 0:
@@ -111,7 +111,7 @@ def claim(c: Claims, place: int, start: int, end: int, owner: int) -> int:
     return slot
 
 
-@njit(cache=True, nogil=True)
+@lean
 def discard(c: Claims, slot: int) -> None:
     """Give an unlinked claim's slot back."""
     c.owner[slot] = -1
@@ -120,14 +120,14 @@ def discard(c: Claims, slot: int) -> None:
     c.meta[0] += 1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def release(c: Claims, slot: int) -> None:
     """Unlink a claim and give its slot back."""
     unlink(c, slot)
     discard(c, slot)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def gap_at(c: Claims, place: int, tick: int) -> int:
     """The claim after which the place is free at a tick, or -1 when it is taken then."""
     at = place
@@ -140,14 +140,14 @@ def gap_at(c: Claims, place: int, tick: int) -> int:
     return at
 
 
-@njit(cache=True, nogil=True)
+@lean
 def gap_end(c: Claims, slot: int) -> int:
     """When the free interval after a claim ends: FOREVER behind the last."""
     after = c.next[slot]
     return c.start[after] if after >= 0 else FOREVER
 
 
-@njit(cache=True, nogil=True)
+@lean
 def free_from(c: Claims, place: int, tick: int, span: int) -> int:
     """The first tick ≥ `tick` from which a place is free for `span` ticks, or FOREVER."""
     at = place

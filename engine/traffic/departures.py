@@ -9,14 +9,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.traffic.claims import Claims, gap_end
 from engine.types import FOREVER
 from engine.world.motion_graph import MotionGraph
 
 I32 = NDArray[np.int32]
+
+DETOUR = "solved after a detour"
+"""What a plan says when the route timer had to leave the router's route."""
 
 STAY = -2
 """Edge code of a stay at a goal."""
@@ -62,11 +65,14 @@ class Ground(NamedTuple):
 
 def ground_of(graph: MotionGraph, blocked: NDArray[np.uint8]) -> Ground:
     """Those arrays of a graph, with the blocked places of the overlay."""
-    arrays = [getattr(graph, name) for name in Ground._fields[:-1]]
-    return Ground(*arrays, blocked)
+    g = graph
+    return Ground(
+        g.state_place, g.edge_ptr, g.edge_to, g.edge_kind, g.edge_twin, g.sweep_ptr, g.sweep, g.place_ptr,
+        g.kind_ticks, blocked,
+    )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@lean
 def crosses(c: Claims, a: int, b: int, tick: int) -> bool:
     """True when one vehicle goes from place a to place b during [tick, tick+1) under the classical rule."""
     at = c.next[a]
@@ -81,7 +87,7 @@ def crosses(c: Claims, a: int, b: int, tick: int) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True)
+@lean
 def departure(
     c: Claims, g: Ground, hold: bool, margin: int, e: int, u: int, v: int, gap: int, t: int, until: int
 ) -> int:

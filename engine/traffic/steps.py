@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.traffic.claims import Claims, claim, discard, link, unlink
 from engine.traffic.departures import GraphArrays
 from engine.types import FOREVER, NONE
@@ -44,7 +45,7 @@ def new_steps(n: int, slots: int) -> Steps:
     return Steps(i32(), np.zeros((n, slots), np.int8), i32(), i32(), i32(), i32(), i32())
 
 
-@njit(cache=True, nogil=True)
+@lean
 def lift(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> int:
     """Take a vehicle's claims from its present place on out of the table, to plan as if it were gone.
 
@@ -62,7 +63,7 @@ def lift(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> int:
     return gap
 
 
-@njit(cache=True, nogil=True)
+@lean
 def put_back(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> None:
     """Undo `lift`."""
     link(c, here)
@@ -75,7 +76,7 @@ def put_back(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> N
             link(c, p.sweep1[v, k])
 
 
-@njit(cache=True, nogil=True)
+@lean
 def forget(c: Claims, p: Steps, v: int, step: int, steps: int, linked: bool) -> None:
     """Give back the claims of steps not yet started."""
     for k in range(step, steps):
@@ -87,7 +88,7 @@ def forget(c: Claims, p: Steps, v: int, step: int, steps: int, linked: bool) -> 
         p.claim[v, k], p.sweep0[v, k], p.sweep1[v, k] = NONE, NONE, NONE
 
 
-@njit(cache=True, nogil=True)
+@lean
 def commit(
     c: Claims, p: Steps, g: GraphArrays, hold: bool, margin: int, v: int, here: int, edges: I32,
     what: NDArray[np.int8], starts: I32, ends: I32, n: int,

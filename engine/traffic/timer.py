@@ -16,27 +16,37 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.energy import CostTable
 from engine.planners.base import Budget, Memory, Plan, Promise, Router, View, no_plan
 from engine.traffic.claims import Claims, gap_end
-from engine.traffic.departures import HORIZON, STAY, Ground, departure, ground_of
+from engine.traffic.departures import DETOUR, HORIZON, STAY, Ground, departure, ground_of
 from engine.types import FOREVER, Occupancy, PlanStatus
 from engine.world.motion_graph import MotionGraph
 
 I32 = NDArray[np.int32]
-DETOUR = "solved after a detour"
+I64 = NDArray[np.int64]
+DETOUR_WITHIN = 1.25
+"""A detour takes at most so many times as long as the best one: exact search would take most of the planning time."""
 
 
 @njit(cache=True, nogil=True)
 def time_route(
     c: Claims, g: Ground, hold: bool, margin: int, place: int, gap: int, t0: int, rolling: bool, items: I32,
-    stays: I32, edges: I32, starts: I32, ends: I32, room: int,
+    stays: I32, edges: I32, starts: I32, ends: I32,
 ) -> int:  # fmt: skip
     """Times for a route of n items (edge, or STAY with its ticks in `stays`; the last STAY is forever).
 
-    room: labels to provide per item. Fills edges, starts, ends and returns n, or -1 when the route can't be timed.
+    Fills edges, starts, ends and returns n, or -1 when the route can't be timed.
     """
     n = len(items)
+    room = 8  # labels per item: no more than free intervals of a place
+    for i in range(n):
+        slot, intervals = g.state_place[g.edge_to[items[i]]] if items[i] != STAY else place, 8
+        while slot >= 0:
+            slot = c.next[slot]
+            intervals += 1
+        room = max(room, intervals)
     label_gap = np.full((n + 1, room), -1, np.int32)
     label_t = np.zeros((n + 1, room), np.int32)
     label_roll = np.zeros((n + 1, room), np.int8)
@@ -95,8 +105,11 @@ def time_route(
     return n
 
 
-@njit(cache=True, nogil=True)
-def keep(label_gap, label_t, label_roll, came, began, used, n, i, gap, t, roll, a, begin, e):  # type: ignore[no-untyped-def]
+@lean
+def keep(
+    label_gap: I32, label_t: I32, label_roll: NDArray[np.int8], came: I32, began: I32, used: I32, n: int, i: int,
+    gap: int, t: int, roll: int, a: int, begin: int, e: int,
+) -> int:  # fmt: skip
     """Remember an arrival unless the same free interval was reached earlier; returns the number of labels."""
     at = n
     for b in range(n):
@@ -107,6 +120,37 @@ def keep(label_gap, label_t, label_roll, came, began, used, n, i, gap, t, roll, 
     label_gap[i, at], label_t[i, at], label_roll[i, at] = gap, t, roll
     came[i, at], began[i, at], used[i, at] = a, begin, e
     return max(n, at + 1)
+
+
+@njit(cache=True, nogil=True)
+def time_legs(
+    c: Claims, g: Ground, hold: bool, margin: int, place: int, gap: int, t0: int, rolling: bool, driven: I32,
+    legs: I32, load_mj: I64, standby: int, edges: I32, starts: I32, ends: I32, what: NDArray[np.int8],
+) -> tuple[int, int]:  # fmt: skip
+    """Times and energy of a route through legs (edges, stay ticks, activity, loaded), one row each.
+
+    load_mj: (2, K). Fills the arrays, whose last entry is the last stay, and returns (steps, mJ), or (-1, 0).
+    """
+    n = len(edges)
+    items, stays = np.empty(n, np.int32), np.zeros(n, np.int32)
+    i = at = 0
+    for leg in range(len(legs)):
+        for _ in range(legs[leg, 0]):
+            items[i], what[i] = driven[at], -1
+            i, at = i + 1, at + 1
+        items[i], stays[i], what[i] = STAY, legs[leg, 1], legs[leg, 2]
+        i += 1
+    if time_route(c, g, hold, margin, place, gap, t0, rolling, items, stays, edges, starts, ends) < 0:
+        return -1, 0
+    energy, i = np.int64(0), 0
+    for leg in range(len(legs)):
+        for _ in range(legs[leg, 0]):
+            energy += load_mj[legs[leg, 3], g.edge_kind[edges[i]]]
+            i += 1
+        i += 1
+    if n > 1:
+        energy += np.int64(ends[n - 2] - t0) * standby
+    return n, energy
 
 
 @dataclass(frozen=True)
@@ -130,7 +174,7 @@ class Timed:
             plan = self.timed(view, legs)
             if plan.found:
                 return plan, memory
-        plan = view.search.through(view, "time", budget)
+        plan = view.search.through(view, "time", budget, DETOUR_WITHIN)
         if not plan.found:
             return plan, memory
         return (
@@ -141,24 +185,19 @@ class Timed:
     def timed(self, view: View, legs: Sequence[I32]) -> Plan:
         """Times for the edges of every leg, with its stay at the end."""
         r, g = view.request, view.graph
-        items = np.concatenate([np.append(edges, STAY) for edges in legs]).astype(np.int32)
-        stays = np.zeros(len(items), np.int32)
-        at_stay = np.flatnonzero(items == STAY)
-        stays[at_stay] = [leg.stay_ticks for leg in r.legs]
-        out = [np.zeros(len(items), np.int32) for _ in range(3)]
-        busiest = 8 + int(np.bincount(view.claims.place[view.claims.owner >= 0], minlength=1).max())
-        n = time_route(
+        driven = np.concatenate(legs)
+        asked = np.array(
+            [(len(way), leg.stay_ticks, int(leg.what), int(leg.loaded)) for way, leg in zip(legs, r.legs, strict=True)],
+            np.int32,
+        )
+        n = len(driven) + len(asked)
+        edges, starts, ends = (np.empty(n, np.int32) for _ in range(3))
+        what = np.empty(n, np.int8)
+        timed, energy = time_legs(
             view.claims, ground_of(g, view.blocked), view.occupancy is Occupancy.HOLD, view.margin_ticks,
-            int(g.state_place[r.state]), r.gap, r.tick, bool(r.state & 1), items, stays, *out, busiest,
+            int(g.state_place[r.state]), r.gap, r.tick, bool(r.state & 1), driven, asked,
+            view.costs.total_mj[r.cls], int(view.costs.standby_mj[r.cls]), edges, starts, ends, what,
         )  # fmt: skip
-        if n < 0:
+        if timed < 0:
             return no_plan(PlanStatus.NO_PATH)
-        edges, starts, ends = (a[: n - 1] for a in out)
-        what = np.full(n - 1, -1, np.int8)
-        what[at_stay[:-1]] = [int(leg.what) for leg in r.legs[:-1]]
-        loads = np.repeat([int(leg.loaded) for leg in r.legs], np.diff(at_stay, prepend=-1))[: n - 1]
-        driving = edges >= 0
-        energy = int(view.costs.total_mj[r.cls, loads[driving], g.edge_kind[edges[driving]]].sum())
-        if len(ends):
-            energy += int(ends[-1] - r.tick) * int(view.costs.standby_mj[r.cls])
-        return Plan(PlanStatus.SOLVED, edges, what, starts, ends, energy, n)
+        return Plan(PlanStatus.SOLVED, edges[: n - 1], what[: n - 1], starts[: n - 1], ends[: n - 1], energy, n)

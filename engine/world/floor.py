@@ -5,9 +5,10 @@ Endpoints (stations, racks, chargers, parking) are spurs: each has exactly one a
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from engine.errors import BadInput, unknown_name
 from engine.types import NONE, Occupancy, StationKind
 from engine.world.grid import STEPS, GridMotion, compile_grid
 from engine.world.motion_graph import MotionGraph
+
+if TYPE_CHECKING:
+    from engine.world.network import NetworkPlan
 
 Cell = tuple[int, int]
 """(x, y), counted from 0 at the bottom left."""
@@ -66,8 +70,8 @@ class FloorPlan:
 class HasFloorPlan(Protocol):
     """Anything that can say which floor it wants, such as a scenario."""
 
-    def floor_plan(self) -> FloorPlan:
-        """The floor as drawn."""
+    def floor_plan(self) -> FloorPlan | NetworkPlan:
+        """The floor as drawn, or as nodes and arcs."""
         ...
 
 
@@ -83,39 +87,39 @@ class Station:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class World:
-    """A compiled floor; P places, W × H cells. Immutable.
+class World(ABC):
+    """A compiled floor with P places: what every kind of floor has. Immutable.
 
-    Places are the cells that a vehicle may be in, row by row from the bottom; stations, chargers and parking are
-    numbered in reading order (top row first, left to right).
+    Stations, chargers and parking are numbered in the floor's own reading order.
     """
 
     graph: MotionGraph
     occupancy: Occupancy
     margin_ticks: int
-    cell_mm: int
     stations: tuple[Station, ...]
     chargers: NDArray[np.int32]  # places
     parking: NDArray[np.int32]  # places
-    cells: NDArray[np.uint8]  # (H, W) codes of LETTERS, row 0 at the bottom
-    place_of_cell: NDArray[np.int32]  # (H, W), -1 where no vehicle may be
-    cell_of_place: NDArray[np.int32]  # (P, 2) as (x, y)
     access: NDArray[np.int32]  # (P,) access place of an endpoint, -1 for aisles and for endpoints without one
     endpoint: NDArray[np.bool_]  # (P,)
     names: tuple[str, ...] = field(repr=False)  # (P,) what a person calls each place: `R7 at (12, 7)` or `(3, 5)`
 
     @property
-    def width(self) -> int:
-        return int(self.cells.shape[1])
-
-    @property
-    def height(self) -> int:
-        return int(self.cells.shape[0])
-
-    @property
+    @abstractmethod
     def size_m(self) -> tuple[float, float]:
         """Width and height in metres."""
-        return self.width * self.cell_mm / 1000, self.height * self.cell_mm / 1000
+
+    @property
+    @abstractmethod
+    def grain_m(self) -> float:
+        """The size of things on it: the side of a cell, the mean arc."""
+
+    @abstractmethod
+    def label(self, place: int) -> str:
+        """What kind of place it is, and which: `cell (3, 5)`, `node N7`."""
+
+    @abstractmethod
+    def floor_json(self) -> dict[str, Any]:
+        """What a browser needs to draw the floor: plain JSON values; lengths in metres, y upwards."""
 
     @property
     def n_places(self) -> int:
@@ -134,18 +138,12 @@ class World:
         wanted = StationKind(kind)
         return tuple(s for s in self.stations if wanted in (StationKind.STATION, s.kind))
 
-    def place_at(self, x: int, y: int) -> int:
-        """The place of cell (x, y), or -1 when no vehicle may be there or it lies outside."""
-        if not (0 <= x < self.width and 0 <= y < self.height):
-            return NONE
-        return int(self.place_of_cell[y, x])
-
     def place_name(self, place: int) -> str:
         """What a person calls a place: `R7 at (12, 7)`, `C3 at (4, 0)` or `(3, 5)`."""
         return self.names[place]
 
-    def floor_json(self) -> dict[str, Any]:
-        """What a browser needs to draw the floor: plain JSON values; lengths in metres, rows from the bottom."""
+    def spots(self) -> dict[str, Any]:
+        """Places, stations, chargers and parking bays as floor_json tells them."""
         xy = np.round(self.graph.xy_m.astype(float), 4).tolist()
 
         def spot(place: int) -> dict[str, Any]:
@@ -156,8 +154,69 @@ class World:
                 {"number": i, "name": f"{letter}{i}", **spot(place)} for i, place in enumerate(places.tolist(), start=1)
             ]
 
+        return {
+            "places": xy,
+            "stations": [
+                {"number": s.number, "name": s.name, "kind": str(s.kind), **spot(s.place)} for s in self.stations
+            ],
+            "chargers": bays("C", self.chargers),
+            "parking": bays("P", self.parking),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridWorld(World):
+    """A compiled drawing of W × H cells.
+
+    Places are the cells that a vehicle may be in, row by row from the bottom; stations, chargers and parking are
+    numbered in reading order (top row first, left to right).
+    """
+
+    cell_mm: int
+    cells: NDArray[np.uint8]  # (H, W) codes of LETTERS, row 0 at the bottom
+    place_of_cell: NDArray[np.int32]  # (H, W), -1 where no vehicle may be
+    cell_of_place: NDArray[np.int32]  # (P, 2) as (x, y)
+
+    @property
+    def width(self) -> int:
+        return int(self.cells.shape[1])
+
+    @property
+    def height(self) -> int:
+        return int(self.cells.shape[0])
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height in metres."""
+        return self.width * self.cell_mm / 1000, self.height * self.cell_mm / 1000
+
+    @property
+    def grain_m(self) -> float:
+        """The side of a cell."""
+        return self.cell_mm / 1000
+
+    def place_at(self, x: int, y: int) -> int:
+        """The place of cell (x, y), or -1 when no vehicle may be there or it lies outside."""
+        if not (0 <= x < self.width and 0 <= y < self.height):
+            return NONE
+        return int(self.place_of_cell[y, x])
+
+    def label(self, place: int) -> str:
+        """`cell (3, 5)`."""
+        x, y = self.cell_of_place[place].tolist()
+        return f"cell ({x}, {y})"
+
+    def floor_json(self) -> dict[str, Any]:
+        """What a browser needs to draw the floor: plain JSON values; lengths in metres, rows from the bottom."""
+        spots = self.spots()
+        xy = spots["places"]
         directed = [
-            {**spot(int(self.place_of_cell[y, x])), "heading_deg": 45 * direction}
+            {
+                "place": (place := int(self.place_of_cell[y, x])),
+                "x": xy[place][0],
+                "y": xy[place][1],
+                "heading_deg": 45 * direction,
+            }
             for letter, direction in ONE_WAY.items()
             for y, x in np.argwhere(self.cells == ord(letter)).tolist()
         ]
@@ -165,14 +224,9 @@ class World:
             "kind": "grid",
             "width": self.width,
             "height": self.height,
-            "cell_m": self.cell_mm / 1000,
+            "cell_m": self.grain_m,
             "cells": [row.tobytes().decode("ascii") for row in self.cells],
-            "places": xy,
-            "stations": [
-                {"number": s.number, "name": s.name, "kind": str(s.kind), **spot(s.place)} for s in self.stations
-            ],
-            "chargers": bays("C", self.chargers),
-            "parking": bays("P", self.parking),
+            **spots,
             "one_way": sorted(directed, key=lambda row: int(row["place"])),
         }
 
@@ -204,12 +258,19 @@ def named_endpoints(cells: NDArray[np.uint8]) -> dict[str, Cell]:
     return names
 
 
-def build_world(source: FloorPlan | HasFloorPlan) -> World:
-    """Compile a floor, or the floor of a scenario. Raises BadInput with one sentence when the drawing is wrong.
+def build_world(source: FloorPlan | NetworkPlan | HasFloorPlan) -> World:
+    """Compile a floor, or the floor of a scenario. Raises BadInput with one sentence when the plan is wrong."""
+    from engine.world.network import NetworkPlan, build_network
+
+    plan = source if isinstance(source, FloorPlan | NetworkPlan) else source.floor_plan()
+    return build_grid(plan) if isinstance(plan, FloorPlan) else build_network(plan)
+
+
+def build_grid(plan: FloorPlan) -> GridWorld:
+    """Compile a drawing. Raises BadInput with one sentence when it is wrong.
 
     An endpoint without an aisle cell beside it is built all the same, cut off; the scenario's checks name it.
     """
-    plan = source if isinstance(source, FloorPlan) else source.floor_plan()
     cells = cells_from_rows(plan.rows)
     height, width = cells.shape
     free = np.isin(cells, _codes(AISLES + ENDPOINTS))
@@ -253,7 +314,7 @@ def build_world(source: FloorPlan | HasFloorPlan) -> World:
         for name, (x, y) in endpoints.items()
         if name[0] in STATIONS
     )
-    return World(
+    return GridWorld(
         graph=compile_grid(free, exits, plan.motion),
         occupancy=plan.occupancy,
         margin_ticks=plan.margin_ticks,

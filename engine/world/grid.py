@@ -94,6 +94,7 @@ def compile_grid(free: NDArray[np.bool_], exits: NDArray[np.uint8], motion: Grid
         n_head=n_head,
         rows=rows,
         primitives=primitives,
+        arc_ticks=motion.straight_ticks,
     )
 
 
@@ -123,7 +124,8 @@ def _primitives(motion: GridMotion, n_head: int) -> tuple[tuple[Primitive, ...],
     if motion.turning == "pivot":
         for moving in (1, 0):
             index[("pivot", step_deg, moving, 0)] = len(out)
-            out.append(Primitive("pivot" if not moving else "stop pivot", 0, step_deg, False, True, motion.turn_ticks))
+            name = "stop pivot" if moving else "pivot"
+            out.append(Primitive(name, 0, step_deg, False, True, motion.turn_ticks))
     return tuple(out), index
 
 
@@ -134,8 +136,14 @@ def assemble(
     n_head: int,
     rows: NDArray[np.int64],
     primitives: tuple[Primitive, ...],
+    headings: NDArray[np.int8] | None = None,
+    heading_deg: tuple[int, ...] | None = None,
+    arc_ticks: NDArray[np.int32] | int = 0,
 ) -> MotionGraph:
-    """Build the CSR arrays from edge rows (from, to, kind, corner a, corner b) sorted by from, then to."""
+    """Build the CSR arrays from edge rows (from, to, kind, swept place a, swept place b) sorted by from, then to.
+
+    headings: (S,) index into heading_deg of every state; without them every place has the same evenly spaced ones.
+    """
     n = len(xy_m)
     s = n * per_place
     i32 = np.int32
@@ -162,7 +170,7 @@ def assemble(
         xy_m=xy_m,
         place_ptr=(np.arange(n + 1) * per_place).astype(i32),
         state_place=(state // per_place).astype(i32),
-        state_heading=(state % per_place // 2).astype(np.int8),
+        state_heading=(state % per_place // 2).astype(np.int8) if headings is None else headings,
         state_moving=(state & 1).astype(np.int8),
         stopped=(state & ~1).astype(i32),
         edge_ptr=edge_ptr,
@@ -174,7 +182,8 @@ def assemble(
         sweep=swept[swept >= 0].astype(i32),
         rev_ptr=rev_ptr,
         rev_edge=rev_edge,
-        heading_deg=tuple(range(0, 360, 360 // n_head)),
+        arc_ticks=np.broadcast_to(np.asarray(arc_ticks, i32), n).copy(),
+        heading_deg=heading_deg or tuple(range(0, 360, 360 // n_head)),
         primitives=primitives,
         kind_ticks=np.array([p.ticks for p in primitives], i32),
         kind_mm=np.array([round(p.length_mm) for p in primitives], i32),

@@ -315,6 +315,18 @@ def test_a_small_preview_is_small(width: int, height: int) -> None:
     assert (len(small["cells"]), len(small["cells"][0])) == (small["height"], small["width"])
 
 
+def test_a_network_is_drawn_from_nodes_and_arcs(library: Library) -> None:
+    entry = library.entry("lian2024")
+    assert (entry.size, entry.width, entry.height) == ("112 nodes, 202 arcs", 0, 0)
+    assert library.look(toml(library.raw_text("lian2024")))["size"] == entry.size
+    small = library.thumb("lian2024")
+    assert (len(small["nodes"]), len(small["arcs"])) == (112, 202)
+    assert all(0 < x < small["width"] and 0 < y < small["height"] for x, y, _ in small["nodes"])
+    assert library.floor("lian2024")["kind"] == "network"
+    assert not [f for f in library.findings("lian2024") if f["level"] != "ok"]
+    assert "astar" not in library.planners("lian2024")
+
+
 def test_a_preview_has_every_place_that_the_world_has(library: Library) -> None:
     name = library.add(instance())
     scenario = library.load(name)

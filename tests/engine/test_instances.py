@@ -19,11 +19,14 @@ from engine.planners import Limits, Problem
 from engine.scenario import Scenario, from_movingai, parse
 from engine.scenario.checks import check
 from engine.scenario.movingai import Instance, corner_instance, map_text, random_instance, scen_text
-from engine.types import PRIMITIVE_0
+from engine.types import PRIMITIVE_0, Occupancy
 from engine.world import build_world
 
 WORK = 200_000
 """Expansions after which a solver gives up: some small instances have no plan, which a constraint tree can't tell."""
+
+ON_INSTANCES = [name for name in PLANNERS if Occupancy.MAPF in find(PLANNERS, "planner", name).promise.occupancies]
+"""Lifelong planners that serve the occupancy of instances."""
 
 
 def instance(seed: int, agents: int = 5) -> Instance:
@@ -94,7 +97,7 @@ def test_a_run_without_faults_is_the_solvers_plan(solver: str, seed: int) -> Non
         assert sum(len(s) - 1 for s in plan.states) == plan.cost
 
 
-@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize("planner", ON_INSTANCES)
 def test_lifelong_planners_bring_vehicles_to_each_others_starts(planner: str) -> None:
     """Four corners, each vehicle begins at another's goal: nobody finds a way while the others are seen to stay."""
     scenario = asked(corner_instance(np.random.default_rng(7), 12, 0.15), planner)
@@ -152,7 +155,7 @@ def all_well(sim: Any) -> list[dict[str, Any]]:
     return blocked + [{"do": word, "vehicle": v} for v in range(sim.n) for word in ("continue", "repair")]
 
 
-@pytest.mark.parametrize("planner", list(dict.fromkeys([*PLANNERS, *SOLVERS])))
+@pytest.mark.parametrize("planner", list(dict.fromkeys([*ON_INSTANCES, *SOLVERS])))
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_an_operator_or_a_fault_does_breaks_a_rule(planner: str, seed: int, tmp_path: Path) -> None:
     rng = random.Random(f"{planner} {seed}")
@@ -187,7 +190,7 @@ def test_nothing_an_operator_or_a_fault_does_breaks_a_rule(planner: str, seed: i
         assert again.digest() == sim.digest()
 
 
-@pytest.mark.parametrize("planner", list(dict.fromkeys([*PLANNERS, *SOLVERS])))
+@pytest.mark.parametrize("planner", list(dict.fromkeys([*ON_INSTANCES, *SOLVERS])))
 def test_vehicles_get_home_after_trouble(planner: str) -> None:
     """A blocked cell on the way, a vehicle that breaks down and is repaired: late, but everybody arrives."""
     of = corner_instance(np.random.default_rng(1), 10, 0.1)
@@ -386,10 +389,12 @@ def test_a_goal_out_of_reach_is_found() -> None:
 def test_planners_are_offered_where_they_fit() -> None:
     of = asked(instance(1))
     assert planners_for(of) == ["prioritized", "quickest", "astar", "eea", "cbs", "ecbs", "time-window"]
-    assert planners_for(load("soochow2022")) == ["prioritized", "quickest", "astar", "eea"]
+    on_hold = ["prioritized", "quickest", "stochastic", "astar-distance", "astar-turns", "astar", "eea"]
+    assert planners_for(load("soochow2022")) == on_hold
+    assert planners_for(load("lian2024")) == on_hold[:-2]
     assert planners_for(asked(instance(1), motion__turning="pivot")) == ["prioritized", "quickest", "cbs", "ecbs"]
     assert planners_for(asked(instance(1), floor__connectivity=8)) == ["prioritized", "quickest", "astar"]
-    assert planners_for(asked(instance(1), **HOLD)) == ["prioritized", "quickest", "astar", "eea"]
+    assert planners_for(asked(instance(1), **HOLD)) == on_hold
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,7 @@ def test_carriage_returns_and_numbers_without_a_point_are_fine() -> None:
             'source = "listed"',
             'source = "poisson"\nmix = [\n  { from = "inbound", to = "rack" },\n  { from = "shop", to = "rack" },\n]',
             '"shop"',
-            "orders.mix, item 2.from: got \"shop\", expected 'inbound', 'outbound', 'rack' or 'station'",
+            "orders.mix, item 2.from: got \"shop\", expected 'inbound', 'outbound', 'rack', 'entrance' or 'station'",
         ),
         ("[floor]", '[floor]\nkind = "blocks"', "rows =", "a floor of kind 'blocks' is generated and has no rows"),
         ("[floor]", '[floor]\nkind = "blocks"', "kind", "a floor of kind 'blocks' needs a table [floor.blocks]"),
@@ -314,7 +314,7 @@ def test_load_reads_files_and_says_what_is_wrong_with_them(tmp_path: Path) -> No
     ("name", "sentence"),
     [
         ("soochow2023", "unknown scenario 'soochow2023'; did you mean 'soochow2022'?"),
-        ("xyz", "unknown scenario 'xyz'; known: soochow2022, soochow2022-continuous, warehouse-large"),
+        ("xyz", "unknown scenario 'xyz'; known: lian2024, soochow2022, soochow2022-continuous, warehouse-large"),
         ("nowhere/mine.toml", "nowhere/mine.toml: there is no such file"),
         ("../soochow2022", "../soochow2022: there is no such file"),
         ("mine.toml", "mine.toml: there is no such file"),
@@ -335,6 +335,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_or_with_all(
 def test_the_library_lists_names_with_titles() -> None:
     assert library() == {
         "soochow2022": "Soochow thesis 2022: ten orders, eight AGVs",
+        "lian2024": "Path network, 29 AGVs, 16 entrances",
         "soochow2022-continuous": "Soochow floor, orders without end",
         "warehouse-large": "Large warehouse: 200 AGVs",
         "xu2025": "Xu & Wang 2025: four vehicles from corner to corner",
@@ -548,7 +549,7 @@ def test_every_parameter_can_be_set_to_its_default_and_is_described() -> None:
         assert row["description"], row["key"]
         assert row["type"] in {"integer", "number", "text", "choice", "list", "table"}
         assert bool(row["choices"]) == (row["type"] == "choice")
-        if row["default"] is not None and not row["key"].startswith("floor.blocks."):
+        if row["default"] is not None and not row["key"].startswith(("floor.blocks.", "floor.network.")):
             overrides = {row["key"]: row["default"]}
             if row["key"] in ("time.finish", "orders.source", "orders.pairs"):
                 continue  # these three must agree with each other

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 
-@njit(cache=True, nogil=True)
+
+@lean
 def push(keys: NDArray[np.int64], items: NDArray[np.int32], size: int, key: int, item: int) -> int:
     """Add an item; returns the new size. The arrays must have room."""
     i = size
@@ -23,7 +24,7 @@ def push(keys: NDArray[np.int64], items: NDArray[np.int32], size: int, key: int,
     return size + 1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def drop_first(keys: NDArray[np.int64], items: NDArray[np.int32], size: int) -> int:
     """Remove the smallest item (at index 0); returns the new size."""
     size -= 1

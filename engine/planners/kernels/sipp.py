@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.planners.kernels.heap import drop_first, push
 from engine.planners.kernels.tables import ENERGY, FAR, TICK
 from engine.traffic import HORIZON, STAY, Claims, Ground, departure, gap_end
@@ -25,6 +25,8 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 SOLVED, NO_PATH, BUDGET, FULL = 0, 1, 2, 3
+MAX_LEGS = 255
+"""A chain has at most so many goals."""
 
 
 class Work(NamedTuple):
@@ -39,6 +41,8 @@ class Work(NamedTuple):
     edge: I32
     depart: I32
     chain: I32  # next node of the same label (energy search)
+    waited: I32  # how long a node's label has stood by the time it is next expanded (energy search)
+    rest: I64  # cost from reaching goal i to the end, along the goals
     best: I64
     seen: I32
     stamp: I64
@@ -54,23 +58,33 @@ def new_work(nodes: int, labels: int) -> Work:
 
     return Work(
         i32(nodes), i32(nodes), i32(nodes), i32(nodes), np.zeros(nodes, np.int64), i32(nodes), i32(nodes), i32(nodes),
-        i32(nodes), np.zeros(labels, np.int64), i32(labels), np.zeros(1, np.int64),
-        np.zeros(2 * nodes, np.int64), i32(2 * nodes),
+        i32(nodes), i32(nodes), np.zeros(MAX_LEGS + 1, np.int64), np.zeros(labels, np.int64), i32(labels),
+        np.zeros(1, np.int64), np.zeros(2 * nodes, np.int64), i32(2 * nodes),
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@lean
+def weighted(h: int, eighths: int) -> int:
+    """A cost to go times a weight."""
+    return h if eighths == 8 else h // 8 * eighths
+
+
+@lean
 def search_time(
     c: Claims, g: Ground, w: Work, hold: bool, margin: int, start: int, start_gap: int, t0: int,
-    goals: I32, stays: I32, pool: I64, slots: I32, shift: int, kind_mj: I64, standby: int, limit: int, out: I64,
+    goals: I32, stays: I32, pool: I64, slots: I32, shift: int, kind_mj: I64, standby: int, eighths: int, limit: int,
+    out: I64,
 ) -> int:  # fmt: skip
-    """Earliest arrival through all goals. kind_mj: (legs, K) energy by leg; out[0] last node, out[1] expansions."""
+    """Earliest arrival through all goals. kind_mj: (legs, K) energy by leg; out[0] last node, out[1] expansions.
+
+    eighths: weight of the cost to go in eighths; above 8 the plan is found sooner, and takes at most so much longer.
+    """
     n_legs = len(goals)
     per_place = g.place_ptr[1] - g.place_ptr[0]
     w.stamp[0] += 1
     stamp = w.stamp[0]
-    # cost from reaching goal i to the end, along the goals
-    rest = np.zeros(n_legs + 1, np.int64)
+    rest = w.rest
+    rest[n_legs - 1] = rest[n_legs] = 0
     for i in range(n_legs - 2, -1, -1):
         least = FAR
         for s in range(g.place_ptr[goals[i]], g.place_ptr[goals[i] + 1]):
@@ -84,7 +98,7 @@ def search_time(
     n, size, expanded = 1, 0, 0
     w.state[0], w.gap[0], w.leg[0], w.tick[0], w.energy[0] = start, start_gap, 0, t0, 0
     w.parent[0], w.edge[0], w.depart[0] = -1, -1, t0
-    size = push(w.keys, w.items, size, first + rest[0], 0)
+    size = push(w.keys, w.items, size, weighted(first + rest[0], eighths), 0)
     key = (start_gap * per_place + start - g.place_ptr[g.state_place[start]]) * n_legs
     w.best[key], w.seen[key] = 0, stamp
     while size > 0:
@@ -122,7 +136,7 @@ def search_time(
                     h = np.int64(0) if last else pool[slots[leg + 1], s2 >> shift] + rest[leg + 1]
                     w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, gap, leg + 1, t2, spent
                     w.parent[n], w.edge[n], w.depart[n] = node, STAY, t
-                    size = push(w.keys, w.items, size, value + h, n)
+                    size = push(w.keys, w.items, size, value + weighted(h, eighths), n)
                     n += 1
         for e0 in range(g.edge_ptr[s], g.edge_ptr[s + 1]):
             v = g.state_place[g.edge_to[e0]]
@@ -139,7 +153,7 @@ def search_time(
                     w.best[key], w.seen[key] = value, stamp
                     w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, gap, leg, t2, spent
                     w.parent[n], w.edge[n], w.depart[n] = node, e0, t
-                    size = push(w.keys, w.items, size, value + h + rest[leg], n)
+                    size = push(w.keys, w.items, size, value + weighted(h + rest[leg], eighths), n)
                     n += 1
                 continue
             if g.blocked[v]:
@@ -165,14 +179,14 @@ def search_time(
                         w.best[key], w.seen[key] = value, stamp
                         w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, into, leg, t2, spent
                         w.parent[n], w.edge[n], w.depart[n] = node, e, begin
-                        size = push(w.keys, w.items, size, value + h + rest[leg], n)
+                        size = push(w.keys, w.items, size, value + weighted(h + rest[leg], eighths), n)
                         n += 1
                 into = c.next[into]
     out[1] = expanded
     return NO_PATH
 
 
-@njit(cache=True, nogil=True)
+@lean
 def dominated(
     w: Work, key: int, stamp: int, t: int, mj: int, moving: bool, standby: int, restart: int, calm: int
 ) -> bool:  # fmt: skip
@@ -193,20 +207,20 @@ def dominated(
     return False
 
 
-@njit(cache=True, nogil=True)
+@lean
 def worth(mj: int, ticks: int) -> int:
     """Energy and time packed so that time breaks ties in energy."""
     return (np.int64(mj) << ENERGY) + ticks
 
 
-@njit(cache=True, nogil=True)
+@lean
 def add_label(w: Work, n: int, key: int, stamp: int) -> None:
     """Append node n to the labels of a key."""
     w.chain[n] = w.best[key] if w.seen[key] == stamp else -1
     w.best[key], w.seen[key] = n, stamp
 
 
-@njit(cache=True, nogil=True)
+@lean
 def search_energy(
     c: Claims, g: Ground, w: Work, hold: bool, margin: int, start: int, start_gap: int, t0: int,
     goals: I32, stays: I32, pool: I64, slots: I32, kind_mj: I64, standby: int, restart: int, calm: int, limit: int,
@@ -222,7 +236,8 @@ def search_energy(
     per_place = g.place_ptr[1] - g.place_ptr[0]
     w.stamp[0] += 1
     stamp = w.stamp[0]
-    rest = np.zeros(n_legs + 1, np.int64)
+    rest = w.rest
+    rest[n_legs - 1] = rest[n_legs] = 0
     for i in range(n_legs - 2, -1, -1):
         least = FAR
         for s in range(g.place_ptr[goals[i]], g.place_ptr[goals[i] + 1]):
@@ -232,8 +247,8 @@ def search_energy(
         rest[i] = rest[i + 1] + least + ((np.int64(stays[i]) * standby) << ENERGY) + stays[i]
     if pool[slots[0], start] >= FAR:
         return NO_PATH
-    # waited[n]: how long the label of node n has stood by the time it is next expanded
-    waited = np.zeros(len(w.state), np.int32)
+    waited = w.waited
+    waited[0] = 0
     n, size, expanded = 1, 0, 0
     w.state[0], w.gap[0], w.leg[0], w.tick[0], w.energy[0] = start, start_gap, 0, t0, 0
     w.parent[0], w.edge[0], w.depart[0] = -1, -1, t0
@@ -322,7 +337,7 @@ def search_energy(
     return NO_PATH
 
 
-@njit(cache=True, nogil=True)
+@lean
 def trail(w: Work, node: int, edges: I32, starts: I32, ends: I32) -> int:
     """Steps (edge or STAY, start, end) from the root to a node, in order; returns their number."""
     n = 0

@@ -8,11 +8,14 @@ exact.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.planners.kernels.heap import drop_first, push
 from engine.world.motion_graph import MotionGraph
+
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
 
 FAR = np.int64(2**62)
 """Cost of a state from which the goal can't be reached."""
@@ -24,8 +27,11 @@ ENERGY = 22
 """Bits of the time part of a packed (mJ, ticks) cost: as many as HORIZON has."""
 
 
-@njit(cache=True, nogil=True)
-def _table(place_ptr, edge_from, edge_kind, rev_ptr, rev_edge, cost, goal, poses, out, keys, items):  # type: ignore[no-untyped-def]
+@lean
+def _table(
+    place_ptr: I32, edge_from: I32, rev_ptr: I32, rev_edge: I32, cost: I64, goal: int, poses: bool, out: I64, keys: I64,
+    items: I32,
+) -> None:  # fmt: skip
     """Fill `out` with costs to any state of the goal place. `poses`: collapse state pairs."""
     out[:] = FAR
     size = 0
@@ -48,7 +54,7 @@ def _table(place_ptr, edge_from, edge_kind, rev_ptr, rev_edge, cost, goal, poses
                     if before & 1 == 0:
                         continue
                     before >>= 1
-                through = d + cost[edge_kind[e]]
+                through = d + cost[e]
                 if through < out[before]:
                     out[before] = through
                     size = push(keys, items, size, through, before)
@@ -57,15 +63,24 @@ def _table(place_ptr, edge_from, edge_kind, rev_ptr, rev_edge, cost, goal, poses
 class Tables:
     """Backward tables by goal, kept least-recently-used in one array so that kernels take a pool and slot numbers.
 
-    costs: (K,) cost of each primitive in the table's unit. Tables are made on the floor without blocks: a block only
-    makes ways longer, so they stay lower bounds.
+    costs: (K,) cost of each primitive in the table's unit, or (E,) of each edge when `per_edge`. Tables are made on the
+    floor without blocks: a block only makes ways longer, so they stay lower bounds.
     """
 
-    def __init__(self, graph: MotionGraph, costs: NDArray[np.int64], *, poses: bool, max_bytes: int = 400_000_000):
+    def __init__(
+        self,
+        graph: MotionGraph,
+        costs: NDArray[np.int64],
+        *,
+        poses: bool,
+        per_edge: bool = False,
+        max_bytes: int = 400_000_000,
+    ):
         width = graph.n_states // 2 if poses else graph.n_states
         self.shift = 1 if poses else 0
         slots = int(np.clip(max_bytes // (8 * max(width, 1)), 8, max(graph.n_places, 8)))
         self.costs = costs
+        self._edge_costs = costs if per_edge else costs[graph.edge_kind]
         self._graph, self._limit = graph, slots
         self.pool = np.empty((min(slots, 16), width), np.int64)
         self._slot: dict[int, int] = {}
@@ -79,7 +94,7 @@ class Tables:
             at = self._room(keep)
             g = self._graph
             _table(
-                g.place_ptr, g.edge_from, g.edge_kind, g.rev_ptr, g.rev_edge, self.costs, goal, bool(self.shift),
+                g.place_ptr, g.edge_from, g.rev_ptr, g.rev_edge, self._edge_costs, goal, bool(self.shift),
                 self.pool[at], self._keys, self._items,
             )  # fmt: skip
         self._slot[goal] = at

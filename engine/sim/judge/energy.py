@@ -18,6 +18,11 @@ from engine.sim.judge.record import I64, Record, RunLog
 from engine.types import COMPONENTS, Activity, Component
 from engine.world.motion_graph import MotionGraph, Primitive
 
+_LIAN2024 = {
+    "mu": 0.015, "g": 9.81, "standby_w": 20.0, "wheel_m": 0.1, "track_m": 0.5, "gear": 30.0, "gear_efficiency": 0.85,
+    "length_m": 0.5, "width_m": 0.5, "resistance_ohm": 0.4898, "emf_vs": 0.0327, "accel_mps2": 0.5, "brake_mps2": 0.5,
+    "recovery": 0.0,
+}  # fmt: skip
 _CHARGING = (Component.CHARGED, Component.CHARGER_LOSS)
 
 
@@ -50,6 +55,11 @@ def _costs(scenario: Scenario, graph: MotionGraph, mass_kg: float) -> I64 | None
         for load, mass in enumerate((mass_kg, mass_kg + scenario.fleet.payload_kg)):
             if scenario.energy.demand == "xu2025":
                 parts = xu2025_joules(primitive, mass, scenario.energy.parameters, scenario.motion.speed_mps)
+            elif scenario.energy.demand == "lian2024":
+                known = _lian2024(primitive, mass, scenario)
+                if known is None:
+                    return None
+                parts = known
             elif scenario.energy.demand == "constant":
                 percent = scenario.energy.parameters.get("percent_per_s", 1.0)
                 joules = percent / 100 * scenario.battery.capacity_wh * 3600 * primitive.ticks * scenario.time.tick_s
@@ -76,9 +86,55 @@ def xu2025_joules(
     }
 
 
+def _lian2024(primitive: Primitive, mass_kg: float, scenario: Scenario) -> dict[Component, float] | None:
+    """Two motors with R and C_e behind a gear, phase by phase; None where braking motors or slow wheels need sampling.
+
+    A start also bears the stop that follows it, and both give back the cruising that their ramps replace. In a turn
+    the wheels speed up, keep on and slow down for a third of the time each.
+    """
+    given = {**_LIAN2024, "v_mps": scenario.motion.speed_mps, **scenario.energy.parameters}
+    if given["recovery"]:
+        return None
+    eff, v, half = given["gear_efficiency"], given["v_mps"], given["track_m"] / 2
+    drag = given["mu"] * mass_kg * given["g"] / 2  # of one wheel
+    ampere_per_n = given["wheel_m"] / given["gear"] / given["emf_vs"] / eff
+    metres, angle = primitive.length_mm / 1000, math.radians(primitive.turn_deg)
+    took_s = primitive.ticks * scenario.time.tick_s
+
+    def heat(force: float, seconds: float) -> float:
+        """Copper loss of one motor that pulls; one that would have to brake is off."""
+        return given["resistance_ohm"] * (force * ampere_per_n) ** 2 * seconds if force > 0 else 0.0
+
+    out = {Component.ROLLING: 2 * drag * metres / eff, Component.COPPER: 2 * heat(drag, metres / v)}
+    if primitive.starts:
+        up, down = v / given["accel_mps2"], v / given["brake_mps2"]
+        pull, slow = mass_kg * given["accel_mps2"] / 2, drag - mass_kg * given["brake_mps2"] / 2
+        copper = heat(drag + pull, up) + heat(slow, down) - heat(drag, (up + down) / 2)
+        work = (drag + pull) * v * up / 2 + max(slow, 0.0) * v * down / 2 - drag * v * (up + down) / 2
+        out[Component.COPPER] += 2 * copper
+        out[Component.STARTING] = 2 * work / eff
+    if primitive.turn_deg:
+        rolls = 0.0 if primitive.pivot or primitive.turn_deg == 180 else v
+        third, top = took_s / 3, 1.5 * angle / took_s
+        swing = mass_kg * (given["length_m"] ** 2 + given["width_m"] ** 2) / 12 * top / third / given["track_m"]
+        if 0 < rolls <= top * half:
+            return None
+        copper = work = 0.0
+        for side in (-1.0, 1.0):
+            # along the wheel's own way: the outer wheel is pushed on by speeding up, the inner one of a roll held back
+            own = 1.0 if rolls == 0 else side
+            for push, mean in ((swing, 0.5), (0.0, 1.0), (-swing, 0.5)):
+                force, speed = drag + own * push, abs(rolls + side * mean * top * half)
+                copper += heat(force, third) - (heat(drag, third) if rolls else 0.0)
+                work += max(force, 0.0) * speed * third
+        out[Component.COPPER] += copper
+        out[Component.TURNING] = (work - 2 * drag * rolls * took_s) / eff
+    return out
+
+
 def standby_mj(scenario: Scenario) -> int:
     """Standby energy per tick."""
-    fallback = 30.0 if scenario.energy.demand == "xu2025" else 0.0
+    fallback = {"xu2025": 30.0, "lian2024": _LIAN2024["standby_w"]}.get(scenario.energy.demand, 0.0)
     return round(scenario.energy.parameters.get("standby_w", fallback) * scenario.time.tick_s * 1000)
 
 

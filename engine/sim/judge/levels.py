@@ -48,7 +48,8 @@ def levels(r: Record, log: RunLog, given: Given, scenario: Scenario, world: Worl
     soc = np.asarray(b["charge_mc"], np.int64)[keep] / capacity
     force = _InForce(scenario, changes)
     yield from islice(_at_chargers(r, (vehicle, tick, soc), force, given, world), REPORTED)
-    yield from islice(_orders_when_low(r, log, (vehicle, tick, soc), force), REPORTED)
+    if scenario.battery.exchange == "none":  # else an order is the way to a full battery
+        yield from islice(_orders_when_low(r, log, (vehicle, tick, soc), force), REPORTED)
 
 
 def capacity_mc(scenario: Scenario) -> int | None:
