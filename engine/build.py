@@ -42,6 +42,10 @@ SEARCHES: dict[str, str] = {
 }
 DISPATCHERS: dict[str, str] = {
     "nearest": "engine.dispatch.nearest:Nearest",
+    "nearest-sequence": "engine.dispatch.nearest_sequence:NearestSequence",
+    "hungarian": "engine.dispatch.hungarian:Hungarian",
+    "insertion": "engine.dispatch.insertion:Insertion",
+    "makespan": "engine.dispatch.makespan:Makespan",
 }
 CHARGING: dict[str, str] = {
     "levels": "engine.dispatch.levels:Levels",
@@ -254,7 +258,7 @@ def parts_of(scenario: Scenario) -> Any:
         planner=planner,
         solver=solver,
         planner_rng=np.random.default_rng(planning),
-        dispatcher=find(DISPATCHERS, "dispatcher", scenario.dispatch.policy)(charging),
+        dispatcher=dispatcher_of(scenario, charging),
         charging=charging,
         source=source_of(scenario, world, np.random.default_rng(orders)),
         faults=Faults(
@@ -270,6 +274,14 @@ def parts_of(scenario: Scenario) -> Any:
         goals=np.array(goals, np.int32),
         initial_soc=np.random.default_rng(batteries).uniform(low, high, scenario.fleet.count),
     )
+
+
+def dispatcher_of(scenario: Scenario, charging: Any) -> Any:
+    """The scenario's dispatcher with its parameters. Raises ScenarioError."""
+    from engine.planners.base import configured
+
+    cls = find(DISPATCHERS, "dispatcher", scenario.dispatch.policy)
+    return configured(cls, {"charging": charging, **scenario.dispatch.parameters})
 
 
 def facing_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -46,6 +46,25 @@ class FloorView:
     levels: dict[str, float]
     must_charge: NDArray[np.uint8]  # (V,) below `good` and not yet back at `sufficient`
     blocked: NDArray[np.uint8]
+    order: NDArray[np.int32]  # (V,) order that a vehicle carries out now, or -1
+    failed: NDArray[np.int8]  # (V,)
+    paused: NDArray[np.int8]  # (V,)
+    exits: tuple[int, ...] = ()  # places of the exits when a dispatcher chooses among them; else orders say where
+    region: NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, np.int16))  # (P,) empty without regions
+
+    def targets(self, order: int) -> list[int]:
+        """Places, not blocked, where an order may be brought; empty also when its load can't be fetched."""
+        book = self.orders
+        own = book.to_place[order]
+        if self.blocked[book.from_place[order]]:
+            return []
+        return [p for p in (self.exits if own in self.exits else (own,)) if not self.blocked[p]]
+
+    def may_take(self, vehicle: int, order: int) -> bool:
+        """Whether an order lies in a vehicle's region: vehicle v serves region v modulo their number."""
+        if not len(self.region):
+            return True
+        return bool(self.region[self.orders.from_place[order]] == vehicle % (int(self.region.max()) + 1))
 
     def soc(self, vehicle: int) -> float:
         """State of charge of a vehicle, 0 to 1."""
@@ -81,11 +100,16 @@ class FloorView:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """An order for a vehicle, and where the vehicle rests afterwards (candidates, best first)."""
+    """An order for a vehicle, and where the vehicle rests afterwards (candidates, best first).
+
+    target: place where it is brought, -1 for the order's own · note: how good the plan is that it comes from.
+    """
 
     order: int
     vehicle: int
     rests: tuple[int, ...]
+    target: int = NONE
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)

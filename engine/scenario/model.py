@@ -55,6 +55,9 @@ class BlocksSection(Section):
     racks: int = Field(default=32, ge=0, description="Racks that orders name, spread evenly over the blocks")
     inbound: int = Field(default=3, ge=0, description="Inbound stations, on the west side")
     outbound: int = Field(default=3, ge=0, description="Outbound stations, on the east side")
+    exits: int = Field(
+        default=0, ge=0, description="Further outbound stations at the ends of aisles, west and east, the middle first"
+    )
     chargers: int = Field(default=8, ge=0, description="Chargers, on the south side, then on the north side")
     parking: int = Field(default=8, ge=0, description="Parking bays, spread evenly over the blocks")
 
@@ -251,6 +254,15 @@ class OrdersSection(Section):
 
 class DispatchSection(Section):
     policy: str = Field(default="nearest", min_length=1, description="Who takes which order")
+    exits: Literal["as ordered", "any outbound"] = Field(
+        default="as ordered",
+        description="any outbound: what is ordered to an outbound station may be brought to any; the dispatcher chooses",
+    )
+    regions: int = Field(
+        default=0, ge=0, le=100,
+        description="Strips of the floor from west to east; vehicle v takes orders from strip v, counted round; 0: none",
+    )
+    parameters: dict[str, int] = Field(default_factory=dict, description="Parameters of the dispatcher")
 
 
 class PlannerSection(Section):

@@ -246,20 +246,27 @@ def give(sim: Simulation, a: Assignment) -> PlanStatus:
     """Plan an assignment and put it on the floor; NO_PATH or CHARGE when its vehicle finds no way within its charge."""
     book = sim.book
     pick, drop = sim.view.service_ticks
+    target = book.to_place[a.order] if a.target == NONE else a.target
     legs = (
         Leg(book.from_place[a.order], pick, Activity.PICK, False),
-        Leg(book.to_place[a.order], drop, Activity.DROP, True),
+        Leg(target, drop, Activity.DROP, True),
     )
     status = planning.attempt(sim, a.vehicle, legs, a.rests, Task.TO_PICK, a.order)
     if status is not PlanStatus.SOLVED:
         return status
+    where = ""
+    if target != book.to_place[a.order]:
+        station = next(s for s in sim.world.stations if s.place == target)
+        book.to_place[a.order], book.to_station[a.order] = target, station.number
+        where = f" and brings it to {station.name}"
     book.assign(a.order, a.vehicle)
     sim.reasons.pop(a.order, None)
     sim.not_before.pop(a.order, None)
     sim.fleet.order[a.vehicle] = a.order
     sim.fleet.task[a.vehicle] = int(Task.TO_PICK)
     order_row(sim, a.order)
-    sim.say("assigned", f"vehicle {a.vehicle} takes order {a.order}", 0, a.vehicle, a.order)
+    note = f" ({a.note})" if a.note else ""
+    sim.say("assigned", f"vehicle {a.vehicle} takes order {a.order}{where}{note}", 0, a.vehicle, a.order)
     return status
 
 

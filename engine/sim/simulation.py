@@ -24,6 +24,7 @@ from engine.orders.sources import OrderSource
 from engine.planners import Solver
 from engine.planners.base import Memory, Planner, Search
 from engine.scenario.model import Scenario
+from engine.scenario.serving import exits_of, regions_of
 from engine.sim import checkpoint, deciding, kernels, learning, operating, planning
 from engine.sim.commands import Answer, submit
 from engine.sim.faults import Faults
@@ -158,7 +159,8 @@ class Simulation:
             holder=self.holder, is_charger=is_charger, is_rest=is_rest, rests=rests, xy=self.graph.xy_m,
             heaviest=1.0 + fleet.payload_kg / min(fleet.each_mass_kg), standby_mj=int(self.parts.costs.standby_mj[0]),
             service_ticks=planning.service_ticks(self), levels=self.thresholds, must_charge=self.must_charge,
-            blocked=self.blocked,
+            blocked=self.blocked, order=self.fleet.order, failed=self.fleet.failed, paused=self.fleet.paused,
+            exits=exits_of(self.scenario, world), region=regions_of(self.scenario, world),
         )  # fmt: skip
 
     def _begin(self) -> None:
