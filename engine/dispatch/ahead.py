@@ -49,8 +49,8 @@ def give_first(
         if isinstance(found, Refusal):
             failed.append((order, target, found))
             continue
-        share = f"{100 * schedule.gap:.1f} %" if schedule.gap else "nothing"
-        note = f"first of {len(route)}; all are done by {schedule.makespan} ticks, at most {share} above the least"
+        good = f"at most {100 * schedule.gap:.1f} % above the least" if schedule.gap else "the least possible"
+        note = f"first of {len(route)}; all are done in {round(schedule.makespan * view.tick_s)} s, {good}"
         out.append(Assignment(found.order, found.vehicle, found.rests, target, note))
         taken.add(found.rests[0])
         given.add(order)
@@ -92,9 +92,7 @@ def work_of(view: FloorView, vehicles: list[int], orders: list[int]) -> tuple[Wo
     for i, place in enumerate(begin):
         first[:, i] = ready + search.ticks_from(place, state)
         back[:, i] = search.ticks_from(place, at_exits)
-        for r, v in enumerate(vehicles):
-            if not view.may_take(v, orders[i]):
-                first[r, i] = BARRED
+        first[[not view.may_take(v, orders[i]) for v in vehicles], i] = BARRED
     for e, place in enumerate(exits):
         serves = np.array([place in places for places in ways_out], np.bool_)
         carry[:, e] = np.where(serves, pick + drop + search.ticks_from(place, at_begin), BARRED)

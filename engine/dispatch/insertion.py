@@ -62,8 +62,8 @@ class Insertion:
     """look: oldest open orders considered · rounds: of local search at each decision."""
 
     charging: ChargingPolicy
-    look: int = 1000
-    rounds: int = 2000
+    look: int = 200
+    rounds: int = 300
 
     def assign(self, view: FloorView, free: list[int]) -> tuple[list[Assignment], list[Refusal]]:
         """See Dispatcher."""
