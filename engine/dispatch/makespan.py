@@ -20,7 +20,7 @@ from engine.dispatch.base import Assignment, ChargingPolicy, FloorView, Refusal
 from engine.dispatch.insertion import insertion
 from engine.dispatch.schedule import ALLOWED, Schedule, Work, schedule_of
 
-VARIABLES = 6000
+VARIABLES = 800
 """Larger programs are left to insertion."""
 ROUNDS = 500
 """Of local search, before the program for a first bound, and after it to shorten what doesn't decide."""
@@ -208,8 +208,8 @@ class Makespan:
     """look: oldest open orders considered · nodes: of branch and bound at each decision."""
 
     charging: ChargingPolicy
-    look: int = 12
-    nodes: int = 200
+    look: int = 8
+    nodes: int = 50
 
     def assign(self, view: FloorView, free: list[int]) -> tuple[list[Assignment], list[Refusal]]:
         """See Dispatcher."""

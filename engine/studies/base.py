@@ -29,6 +29,7 @@ from engine.errors import InvariantBroken, RunError, ScenarioError, WattlaneErro
 
 STUDIES: dict[str, str] = {
     "xu2025": "engine.studies.xu2025:Xu2025",
+    "wang2019": "engine.studies.wang2019:Wang2019",
 }
 
 Cell = dict[str, Any]
