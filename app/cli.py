@@ -148,6 +148,7 @@ def run(
     scenario: Annotated[str, typer.Argument(help="Scenario: a built-in or imported name, or a TOML file.")],
     planner: Annotated[str | None, typer.Option("--planner", help="Planner.")] = None,
     objective: Annotated[str | None, typer.Option("--objective", help="What plans minimise: time or energy.")] = None,
+    dispatcher: Annotated[str | None, typer.Option("--dispatcher", help="Who takes which order.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override, such as fleet.count=12.")
     ] = None,
@@ -167,9 +168,10 @@ def run(
     from app.settings import scenarios_folder, use_kernel_cache, writable
 
     first = use_kernel_cache()
+    chosen = {} if dispatcher is None else {"dispatch.policy": dispatcher}
     asked = runner.asked_scenario(
         scenario,
-        overrides_of(set_ or []),
+        {**overrides_of(set_ or []), **chosen},
         seed=seed,
         planner=planner,
         objective=objective,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterator
-from itertools import permutations, product
+from itertools import pairwise, permutations, product
 from typing import Any
 
 BARRED = 2**39
@@ -26,12 +26,10 @@ def schedules(vehicles: int, orders: int, exits: int) -> Iterator[list[tuple[lis
     for row in permutations(range(orders)):
         for cuts in product(range(orders + 1), repeat=vehicles - 1):
             ends = [0, *cuts, orders]
-            if any(a > b for a, b in zip(ends[:-1], ends[1:], strict=True)):
+            if any(a > b for a, b in pairwise(ends)):
                 continue
             for leave in product(range(exits), repeat=orders):
-                yield [
-                    (list(row[a:b]), list(leave[a:b])) for a, b in zip(ends[:-1], ends[1:], strict=True)
-                ]
+                yield [(list(row[a:b]), list(leave[a:b])) for a, b in pairwise(ends)]
 
 
 def least_makespan(work: Any) -> int:
@@ -72,7 +70,7 @@ def inserted(work: Any, routes: list[list[int]], order: int, limit: int) -> list
         if not route:
             return 0
         clock = int(work.first[vehicle, route[0]])
-        for a, b in zip(route[:-1], route[1:], strict=True):
+        for a, b in pairwise(route):
             clock += min(int(work.carry[a, e] + work.back[e, b]) for e in range(len(work.back)))
         return clock + int(min(work.carry[route[-1]]))
 
@@ -82,7 +80,9 @@ def inserted(work: Any, routes: list[list[int]], order: int, limit: int) -> list
             more = [*route[:at], order, *route[at:]]
             now = takes(r, more)
             if work.first[r, order] < BARRED:
-                (within if now <= limit else soonest).append(((now - takes(r, route)) if now <= limit else now, r, more))
+                (within if now <= limit else soonest).append(
+                    ((now - takes(r, route)) if now <= limit else now, r, more)
+                )
     if not (within or soonest):
         return routes
     _, r, more = min(within or soonest, key=lambda each: each[0])

@@ -9,6 +9,7 @@ from app.lessons.base import Lesson
 
 LESSONS: dict[str, str] = {
     "search": "app.lessons.search:LESSON",
+    "heuristics": "app.lessons.heuristics:LESSON",
     "tree": "app.lessons.tree:LESSON",
 }
 """The lesson at /learn/{name}, in the order of the page."""

@@ -114,6 +114,14 @@ def start_form(manager: RunManager, scenario: str | None) -> html.Div:
             ),
             dmc.Select(id=Start.PLANNER, label="Planner", data=data.planners(), allowDeselect=False, size="xs"),
             dmc.Select(id=Start.OBJECTIVE, label="Objective", data=["time", "energy"], allowDeselect=False, size="xs"),
+            dmc.Select(
+                id=Start.DISPATCHER,
+                label="Dispatcher",
+                data=data.dispatchers(),
+                allowDeselect=False,
+                size="xs",
+                className="whole",
+            ),
             dmc.NumberInput(id=Start.FLEET, label="Vehicles", min=1, max=5000, allowDecimal=False, size="xs"),
             dmc.NumberInput(id=Start.SEED, label="Seed", min=0, allowDecimal=False, size="xs"),
             dmc.NumberInput(id=Start.RATE, label="Orders per hour", min=0, size="xs", className="whole"),
@@ -233,6 +241,8 @@ def started(manager: RunManager, values: Mapping[str, Any]) -> str:
     changes = {} if values["fleet"] in (None, "") else fleet_overrides(scenario, values["fleet"])
     if values["rate"] not in (None, "", scenario.orders.rate_per_h):
         changes["orders.rate_per_h"] = values["rate"]
+    if values["dispatcher"]:
+        changes["dispatch.policy"] = values["dispatcher"]
     overrides = {**changes, **overrides}
     seed = values["seed"]
     return manager.start(
@@ -257,6 +267,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         Output(Start.PLANNER, "value"),
         Output(Start.PLANNER, "data"),
         Output(Start.OBJECTIVE, "value"),
+        Output(Start.DISPATCHER, "value"),
         Output(Start.FLEET, "value"),
         Output(Start.SEED, "value"),
         Output(Start.RATE, "value"),
@@ -267,12 +278,12 @@ def register(app: dash.Dash, manager: RunManager) -> None:
     )
     def fill(name: str | None) -> Any:
         if not name:
-            return (no_update,) * 9
+            return (no_update,) * 10
         try:
             known = data.scenario_values(manager, name)
             fits = list(manager.scenarios.planners(name))
         except WattlaneError as error:
-            return (*(no_update,) * 8, str(error))
+            return (*(no_update,) * 9, str(error))
         rate = known["orders.rate_per_h"]["value"]
         listed = known["orders.source"]["value"] != "poisson"
         keys = html.Dl(
@@ -285,7 +296,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
             style={"fontSize": "12px", "maxHeight": "220px", "overflow": "auto"},
         )
         planner, objective = known["planner.name"]["value"], known["planner.objective"]["value"]
-        first = (planner, fits, objective, known["fleet.count"]["value"])
+        first = (planner, fits, objective, known["dispatch.policy"]["value"], known["fleet.count"]["value"])
         return (*first, known["seed"]["value"], "" if rate is None else rate, listed, keys, None)
 
     @app.callback(
@@ -295,6 +306,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         State(Start.SCENARIO, "value"),
         State(Start.PLANNER, "value"),
         State(Start.OBJECTIVE, "value"),
+        State(Start.DISPATCHER, "value"),
         State(Start.FLEET, "value"),
         State(Start.SEED, "value"),
         State(Start.RATE, "value"),
@@ -305,7 +317,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
     def start(clicks: int | None, *values: Any) -> tuple[Any, Any]:
         if not clicks:
             return no_update, no_update
-        names = ("scenario", "planner", "objective", "fleet", "seed", "rate", "more")
+        names = ("scenario", "planner", "objective", "dispatcher", "fleet", "seed", "rate", "more")
         return opened(lambda: started(manager, dict(zip(names, values, strict=True))))
 
     @app.callback(

@@ -57,4 +57,6 @@ class Hungarian:
             if not barred:
                 break
         given = {a.order for a in found.values()}
-        return [found[r] for r in sorted(found)], [Refusal(o, why.get(o, NOBODY_FREE)) for o in looked if o not in given]
+        return [found[r] for r in sorted(found)], [
+            Refusal(o, why.get(o, NOBODY_FREE)) for o in looked if o not in given
+        ]

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.dispatch import kernels
-from engine.dispatch.base import Assignment, ChargingPolicy, FloorView, Refusal
 from engine.dispatch.ahead import give_first
+from engine.dispatch.base import Assignment, ChargingPolicy, FloorView, Refusal
 from engine.dispatch.schedule import Schedule, Work, schedule_of
 
 SLACK = 1.02
-"""First sequences may last so much longer than the lower bound before the vehicle that is done soonest gets an order."""
+"""Sequences are first filled to so much of the lower bound, then each order goes to who is done soonest with it."""
 TAKEN_OUT = 6
 """Orders that a round takes out of one sequence at most."""
 
@@ -47,13 +47,12 @@ def insertion(work: Work, rounds: int, start: Schedule | None = None) -> Schedul
         kernels.insert(link, end, first, after, owner, time, i, int(bound * SLACK))
     kept = np.empty(2 * n + vehicles, np.int32)
     done = kernels.improve(link, end, first, after, owner, time, kept, bound, rounds, TAKEN_OUT)
-    routes = []
+    routes: list[list[int]] = [[] for _ in range(vehicles)]
     for r in range(vehicles):
-        route, at = [], int(after[n + r])
+        at = int(after[n + r])
         while at >= 0:
-            route.append(at)
+            routes[r].append(at)
             at = int(after[at])
-        routes.append(route)
     return schedule_of(work, routes, bound, int(done))
 
 

@@ -13,15 +13,15 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 BARRED = 2**40
-LEAST, TRIED = 0, 1
 
 
 @njit(cache=True, nogil=True)
-def insert(link: I64, end: I64, first: I64, after: I32, owner: I32, time: I64, order: int, limit: int) -> bool:
+def insert(link: I64, end: I64, first: I64, after: I32, owner: I32, lasts: I64, order: int, limit: int) -> bool:
     """Put an order where it adds least among the places that keep its vehicle's time within a limit; when there is
     none, where its vehicle is done soonest. False when no vehicle may take it.
 
-    after: (N + R,) next order, -1 at the end · owner: (N,) vehicle, -1 for an order that nobody has · time: (R,).
+    after: (N + R,) next order, -1 at the end · owner: (N,) vehicle, -1 for an order that nobody has · lasts: (R,) time
+    of each vehicle.
     """
     n, vehicles = len(end), len(first)
     best, where, who, fits = BARRED, -1, -1, False
@@ -37,7 +37,7 @@ def insert(link: I64, end: I64, first: I64, after: I32, owner: I32, time: I64, o
                 added = there + link[order, follows] - gone
             else:
                 added = there + end[order] - (0 if before >= n else end[before])
-            now = time[r] + added
+            now = lasts[r] + added
             if now <= limit:
                 if not fits or added < best:
                     best, where, who, fits = added, before, r, True
@@ -46,7 +46,7 @@ def insert(link: I64, end: I64, first: I64, after: I32, owner: I32, time: I64, o
             before = follows
     if where < 0:
         return False
-    time[who] = time[who] + best if fits else best
+    lasts[who] = lasts[who] + best if fits else best
     after[order] = after[where]
     after[where] = order
     owner[order] = who
@@ -54,7 +54,7 @@ def insert(link: I64, end: I64, first: I64, after: I32, owner: I32, time: I64, o
 
 
 @njit(cache=True, nogil=True)
-def remove(link: I64, end: I64, first: I64, after: I32, owner: I32, time: I64, order: int) -> None:
+def remove(link: I64, end: I64, first: I64, after: I32, owner: I32, lasts: I64, order: int) -> None:
     """Take an order out of its vehicle's sequence."""
     n = len(end)
     r = owner[order]
@@ -65,17 +65,31 @@ def remove(link: I64, end: I64, first: I64, after: I32, owner: I32, time: I64, o
     there = first[r, order] if before >= n else link[before, order]
     if follows >= 0:
         past = first[r, follows] if before >= n else link[before, follows]
-        time[r] += past - there - link[order, follows]
+        lasts[r] += past - there - link[order, follows]
     else:
-        time[r] += (0 if before >= n else end[before]) - there - end[order]
+        lasts[r] += (0 if before >= n else end[before]) - there - end[order]
     after[before] = follows
     after[order] = -1
     owner[order] = -1
 
 
 @njit(cache=True, nogil=True)
+def next_noise(noise):  # type: ignore[no-untyped-def]
+    """The next of a row of 64 random bits (xorshift)."""
+    noise ^= noise << np.uint64(13)
+    noise ^= noise >> np.uint64(7)
+    return noise ^ noise << np.uint64(17)
+
+
+@njit(cache=True, nogil=True)
+def below(noise, count):  # type: ignore[no-untyped-def]
+    """A number from 0 to count - 1."""
+    return np.int64(noise % np.uint64(count))
+
+
+@njit(cache=True, nogil=True)
 def improve(
-    link: I64, end: I64, first: I64, after: I32, owner: I32, time: I64, kept: I32, goal: int, rounds: int, most: int
+    link: I64, end: I64, first: I64, after: I32, owner: I32, lasts: I64, kept: I32, goal: int, rounds: int, most: int
 ) -> int:
     """Ruin and recreate: orders of the vehicle that is done last and of up to two others are taken out and put in
     again; the result stays when it is done no later (equally soon: with no larger total). Returns the rounds done.
@@ -86,24 +100,24 @@ def improve(
     nodes = n + vehicles
     out = np.empty(3 * most, np.int32)
     noise = np.uint64(0x9E3779B97F4A7C15)
-    old_time = time.copy()
+    old_time = lasts.copy()
     for done in range(rounds):
         last = 0
         for r in range(vehicles):
-            if time[r] > time[last]:
+            if lasts[r] > lasts[last]:
                 last = r
-        makespan, total = time[last], time.sum()
+        makespan, total = lasts[last], lasts.sum()
         if makespan <= goal:
             return done
         kept[:nodes] = after
         kept[nodes : nodes + n] = owner
-        old_time[:] = time
+        old_time[:] = lasts
         count = 0
         for k in range(3):
-            noise ^= noise << np.uint64(13)
-            noise ^= noise >> np.uint64(7)
-            noise ^= noise << np.uint64(17)
-            r = last if k == 0 else np.int64(noise % np.uint64(vehicles))
+            noise = next_noise(noise)
+            r = last
+            if k > 0:
+                r = below(noise, vehicles)
             length = 0
             at = after[n + r]
             while at >= 0:
@@ -111,28 +125,26 @@ def improve(
                 at = after[at]
             if length == 0:
                 continue
-            take = 1 + np.int64((noise >> np.uint64(20)) % np.uint64(min(most, length)))
-            skip = np.int64((noise >> np.uint64(40)) % np.uint64(length - take + 1))
+            take = 1 + below(noise >> np.uint64(20), min(most, length))
+            skip = below(noise >> np.uint64(40), length - take + 1)
             at = after[n + r]
             for i in range(skip + take):
                 follows = after[at]
                 if i >= skip:
-                    remove(link, end, first, after, owner, time, at)
+                    remove(link, end, first, after, owner, lasts, at)
                     out[count] = at
                     count += 1
                 at = follows
         for i in range(count - 1, 0, -1):
-            noise ^= noise << np.uint64(13)
-            noise ^= noise >> np.uint64(7)
-            noise ^= noise << np.uint64(17)
-            j = np.int64(noise % np.uint64(i + 1))
+            noise = next_noise(noise)
+            j = below(noise, i + 1)
             out[i], out[j] = out[j], out[i]
         good = True
         for i in range(count):
-            good &= insert(link, end, first, after, owner, time, out[i], makespan - 1)
-        now = time.max()
-        if not good or now > makespan or (now == makespan and time.sum() > total):
+            good &= insert(link, end, first, after, owner, lasts, out[i], makespan - 1)
+        now = lasts.max()
+        if not good or now > makespan or (now == makespan and lasts.sum() > total):
             after[:] = kept[:nodes]
             owner[:] = kept[nodes : nodes + n]
-            time[:] = old_time
+            lasts[:] = old_time
     return rounds

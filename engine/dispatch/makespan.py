@@ -1,9 +1,9 @@
 """Least makespan, exactly: assignment, sequence and exit of every order as a mixed integer program, solved by HiGHS.
 
 Source: Wang et al. 2019 asks for this model, and prints it incompletely. Here every order is an arc from the exit where
-its vehicle was before to the exit where it is brought; a sequence is a walk through the exits that uses its orders' arcs
-once each. Promise: optimal within the nodes given, else the best found with its gap. Cost: 3 vehicles × 8 orders about
-a second, 4 × 12 about five; beyond VARIABLES, insertion alone.
+its vehicle was before to the exit where it is brought; a sequence is a walk through the exits that uses its orders'
+arcs once each. Promise: optimal within the nodes given, else the best found with its gap. Cost: 3 vehicles × 8 orders
+one to two seconds, 4 × 10 up to half a minute; beyond VARIABLES, insertion alone.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from engine.dispatch.base import Assignment, ChargingPolicy, FloorView, Refusal
 from engine.dispatch.insertion import insertion
 from engine.dispatch.schedule import ALLOWED, Schedule, Work, schedule_of
 
-VARIABLES = 800
+VARIABLES = 500
 """Larger programs are left to insertion."""
 ROUNDS = 500
 """Of local search, before the program for a first bound, and after it to shorten what doesn't decide."""
@@ -85,7 +85,8 @@ class _Program:
         shapes = [(r, n, e), (r, n, e, e), (r, e), (r, e), (r, e), (r, e, e)]
         starts = np.concatenate([[0], np.cumsum([int(np.prod(s)) for s in shapes])])
         parts = [np.arange(a, a + int(np.prod(s))).reshape(s) for a, s in zip(starts[:-1], shapes, strict=True)]
-        return _Program(*parts, int(starts[-1]))
+        begin, then, stop, seen, enter, pass_ = parts
+        return _Program(begin, then, stop, seen, enter, pass_, int(starts[-1]))
 
     def rows(self, work: Work) -> _Rows:
         """The constraints."""
@@ -102,7 +103,9 @@ class _Program:
             for e in range(exits):
                 others = [h for h in range(exits) if h != e]
                 # what comes to an exit leaves it or stops there
-                rows.add(0, 0, (begin[:, e], 1), (walk[:, others, e], 1), (walk[:, e, others], -1), (self.stop[r, e], -1))
+                rows.add(
+                    0, 0, (begin[:, e], 1), (walk[:, others, e], 1), (walk[:, e, others], -1), (self.stop[r, e], -1)
+                )
                 # an exit from which it leaves is one that the flow reaches
                 for i in range(orders):
                     rows.add(-np.inf, 0, (walk[i, e], 1), (self.seen[r, e], -1))
@@ -140,7 +143,7 @@ class _Program:
 
     def routes(self, x: NDArray[np.float64]) -> list[list[int]]:
         """The walk of every vehicle through the arcs of a solution (Hierholzer)."""
-        out = []
+        out: list[list[int]] = []
         for r in range(len(self.begin)):
             begun = np.argwhere(x[self.begin[r]] > 0.5).tolist()
             if not begun:

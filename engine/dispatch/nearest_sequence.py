@@ -1,7 +1,8 @@
-"""The rule of Wang et al. 2019: every vehicle takes the order that it reaches soonest, and brings it to the nearest exit.
+"""The rule of Wang et al. 2019: every vehicle takes the order that it reaches soonest, and brings it to the nearest
+exit.
 
-Source: Wang et al. 2019, section 3. A greedy rule: it happens to be optimal for the paper's case, and is not in general.
-Vehicles choose in the order of their numbers; an order's age counts for nothing.
+Source: Wang et al. 2019, section 3. A greedy rule: it happens to be optimal for the paper's case, and is not in
+general. Vehicles choose in the order of their numbers; an order's age counts for nothing.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Sequences of orders for several vehicles: what is to be done, what a sequence takes, and how good it can be.
 
-Source: Wang et al. 2019, eqs. 1-7 in their correct form: a vehicle goes to an order, takes the load, brings it to one of
-the exits, and goes on from there; the last one to finish decides (makespan). Which exit is best between two orders
+Source: Wang et al. 2019, eqs. 1-7 in their correct form: a vehicle goes to an order, takes the load, brings it to one
+of the exits, and goes on from there; the last one to finish decides (makespan). Which exit is best between two orders
 depends on nothing else, so a sequence of orders says it all. Times are whole numbers of any unit.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,20 +55,21 @@ class Work:
     @cached_property
     def end(self) -> I64:
         """(N,) from standing at order i to having brought it to the quickest exit."""
-        return self.carry.min(axis=1)
+        end: I64 = self.carry.min(axis=1)
+        return end
 
     def takes(self, vehicle: int, route: Sequence[int]) -> int:
         """Time at which a vehicle has done a sequence; 0 for none."""
         if not route:
             return 0
-        ways = sum(int(self.link[i, j]) for i, j in zip(route[:-1], route[1:], strict=True))
+        ways = sum(int(self.link[i, j]) for i, j in pairwise(route))
         return int(self.first[vehicle, route[0]]) + ways + int(self.end[route[-1]])
 
     def exits(self, route: Sequence[int]) -> tuple[int, ...]:
         """The exit of every order of a sequence: the lowest of the best."""
         if not route:
             return ()
-        between = [int((self.carry[i] + self.back[:, j]).argmin()) for i, j in zip(route[:-1], route[1:], strict=True)]
+        between = [int((self.carry[i] + self.back[:, j]).argmin()) for i, j in pairwise(route)]
         return (*between, int(self.carry[route[-1]].argmin()))
 
     def lower_bound(self) -> int:
@@ -157,5 +159,5 @@ def by_rule(work: Work) -> Schedule:
         exits[r].append(exit_)
         left.remove(i)
     return Schedule(
-        tuple(map(tuple, routes)), tuple(map(tuple, exits)), tuple(clock), min(work.lower_bound(), max(clock, default=0))
-    )  # fmt: skip
+        tuple(map(tuple, routes)), tuple(map(tuple, exits)), tuple(clock), min(work.lower_bound(), max(clock,
+    default=0)) )  # fmt: skip

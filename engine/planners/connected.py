@@ -1,6 +1,7 @@
-"""A* on grids of four or eight neighbours, with corners cut or not, by any heuristic: connectivity apart from heuristic.
+"""A* on grids of four or eight neighbours, with corners cut or not, by any heuristic: connectivity apart from
+heuristic.
 
-Source: Wang et al. 2019, section 2.2; its "complex diagonal distance" (eq. 12) is the octile distance. Promise: complete;
+Source: Wang et al. 2019, section 2.2; its "complex diagonal distance" (eq. 12) is the octile distance. Complete;
 shortest where the heuristic is admissible (ADMISSIBLE says on which grids that is). Floors of runs never cut corners
 (engine.world.grid), because a vehicle on a diagonal sweeps both; here it may be asked for. Lengths are in µm, so that
 rounding never makes the Euclidean distance exceed a way.
@@ -42,8 +43,8 @@ REOPENED = 4
 class Ground:
     """The free cells of a floor as places, row by row from the bottom, and how they are joined.
 
-    free: (H, W) · place_of: (H, W), -1 for obstacles · cell_of: (P,) x + W y · step: (P+1, D) neighbour in each direction,
-    P for none; every step leads both ways · xy, length: as of engine.planners.kernels.single.Grounds, in µm.
+    free: (H, W) · place_of: (H, W), -1 for obstacles · cell_of: (P,) x + W y · step: (P+1, D) neighbour in each
+    direction, P for none; every step leads both ways · xy, length: as of engine.planners.kernels.single.Grounds, in µm.
     """
 
     free: NDArray[np.bool_]
@@ -55,7 +56,7 @@ class Ground:
 
     @property
     def neighbours(self) -> int:
-        return self.step.shape[1]
+        return int(self.step.shape[1])
 
     def place(self, x: int, y: int) -> int:
         """The place of a cell, -1 when no vehicle may be there."""

@@ -73,8 +73,8 @@ def rows_of_blocks(
     ends = [(y, x) for y in _from_middle(along) for x in (0, width - 1)]
     if exits > len(ends):
         raise BadInput(f"there is room for {len(ends)} exits at the ends of aisles; {exits} were asked for")
-    for at in ends[:exits]:
-        cells[at] = "O"
+    for end in ends[:exits]:
+        cells[end] = "O"
     _place(cells, west, inbound, "I", "inbound stations on the west side")
     _place(cells, east, outbound, "O", "outbound stations on the east side")
     if chargers > len(south):

@@ -256,11 +256,15 @@ class DispatchSection(Section):
     policy: str = Field(default="nearest", min_length=1, description="Who takes which order")
     exits: Literal["as ordered", "any outbound"] = Field(
         default="as ordered",
-        description="any outbound: what is ordered to an outbound station may be brought to any; the dispatcher chooses",
+        description="any outbound: what is ordered to an outbound station may be brought to any; the dispatcher "
+        "chooses",
     )
     regions: int = Field(
-        default=0, ge=0, le=100,
-        description="Strips of the floor from west to east; vehicle v takes orders from strip v, counted round; 0: none",
+        default=0,
+        ge=0,
+        le=100,
+        description="Strips of the floor from west to east; vehicle v takes orders from strip v, counted round; 0: "
+        "none",
     )
     parameters: dict[str, int] = Field(default_factory=dict, description="Parameters of the dispatcher")
 

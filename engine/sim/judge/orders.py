@@ -72,7 +72,9 @@ def _ways(log: RunLog, scenario: Scenario, world: World) -> Iterator[Breach]:
         ways[order] = (start, end)
         free = chosen and state == O.ASSIGNED and {before[1], end} <= outbound
         if before[0] != start or (before[1] != end and not free):
-            text = f"order {order} goes from {start} to {end} at tick {tick}, and before from {before[0]} to {before[1]}"
+            text = (
+                f"order {order} goes from {start} to {end} at tick {tick}, and before from {before[0]} to {before[1]}"
+            )
             yield Breach(BreachKind.ORDER, tick, (), place, text)
         if regions and state == O.ASSIGNED:
             own = min(int(float(world.graph.xy_m[place, 0]) / width * regions), regions - 1)
