@@ -118,7 +118,7 @@ def play_panel(ground: connected.Ground, panel: Panel, ends: tuple[int, int], sh
     return {
         "panel": panel.text,
         "unit": "cells",
-        "status": search.status_sentence(way, len(played.rows["cell"])),
+        "status": "goal reached" if solved else search.status_sentence(way, len(played.rows["cell"])),
         "solved": solved,
         "expanded": len(played.rows["cell"]),
         "cost": found.length_um // UM_PER_MM if solved else -1,
@@ -159,7 +159,7 @@ def answer(query: Query) -> dict[str, Any]:
 # -- the page ---------------------------------------------------------------------------------------------------------
 
 
-def panels(modes: Sequence[str], rules: Sequence[str] = RULES, tie: str = "fifo") -> str:
+def panels(modes: Iterable[str], rules: Sequence[str] = RULES, tie: str = "fifo") -> str:
     """A panel for every heuristic of every connectivity."""
     return "~".join(Panel(mode, rule, tie).text for mode in modes for rule in rules)
 
@@ -183,7 +183,7 @@ PRESETS = (
     ),
     Preset(
         "Manhattan oversteps",
-        {**OVERSTEPS, "panels": panels(("four", "eight", "cut"), ("manhattan", "octile"))},
+        {**OVERSTEPS, "panels": "~".join(panels(MODES, [rule]) for rule in ("manhattan", "octile"))},
         "With diagonals the Manhattan distance counts more than what is left: it hurries to the goal, expands few "
         "cells, and comes by a way that is not the shortest. With four neighbours it is the best of the four.",
     ),

@@ -16,12 +16,12 @@
     idle() {
       const row = (panel) => {
         const { trace } = panel, [mode, heuristic] = panel.spec(), known = panel.ended && trace.solved;
-        return el("tr", {}, el("td", {}, `${this.options.algorithms[mode].word}, ${this.options.heuristics[heuristic]}`), el("td", {}, wl.number(panel.done)),
-          el("td", {}, known ? wl.number(trace.cost / 1000, 2) : "–"), el("td", {}, trace.admissible ? "yes" : "no"));
+        const word = `${this.options.algorithms[mode].word}, ${this.options.heuristics[heuristic]}${trace.admissible ? "" : " *"}`;
+        return el("tr", {}, el("td", {}, word), el("td", {}, wl.number(panel.done)), el("td", {}, known ? wl.number(trace.cost / 1000, 2) : "–"));
       };
-      const head = ["search", "expanded", "length", "admissible"].map((word) => el("th", {}, word));
+      const head = ["search", "expanded", "length"].map((word) => el("th", {}, word));
       return [el("h2", {}, "The matrix"), el("table", { class: "wl-lesson-table matrix" }, el("thead", {}, el("tr", {}, ...head)), el("tbody", {}, ...this.panels.map(row))),
-        el("p", { class: "wl-hint" }, "Point at a cell of a map: its g, h and f in every search.")];
+        el("p", { class: "wl-hint" }, `${this.panels.some((panel) => !panel.trace.admissible) ? "* not admissible with these neighbours. " : ""}Point at a cell of a map: its g, h and f in every search.`)];
     }
   }
 

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.lessons import LESSONS, base, lesson, search, tree
+from app.lessons import LESSONS, base, heuristics, lesson, search, tree
 from engine.errors import BadInput
+from tests import naive_dispatch
 from tests import naive_mapf2 as naive
 from tests.naive_mapf import joint_optimum
 
@@ -310,3 +311,48 @@ def test_the_server_answers_or_says_why(client: Any) -> None:
         assert refused.status_code == 400
         assert refused.json()["error"]
     assert client.post("/learn/search", json=[]).status_code == 400
+
+
+# -- heuristics -------------------------------------------------------------------------------------------------------
+
+MATRIX = [f"{mode}.{rule}.{tie}" for mode in heuristics.MODES for rule in heuristics.RULES for tie in heuristics.TIES]
+
+
+@settings(max_examples=60)
+@given(floors(), st.lists(st.sampled_from(MATRIX), min_size=1, max_size=8))
+def test_a_matrix_plays_its_searches(question: tuple[np.ndarray, naive.Cell, naive.Cell], panels: list[str]) -> None:
+    free, start, goal = question
+    answer = heuristics.answer(query_of(free, start, goal, "~".join(panels)))
+    width = free.shape[1]
+    for text, told in zip(panels, answer["panels"], strict=True):
+        mode = text.partition(".")[0]
+        _, neighbours, cut = heuristics.MODES[mode]
+        least = naive_dispatch.shortest(free.tolist(), neighbours, cut, start, goal)
+        assert told["solved"] is np.isfinite(least)
+        rows, entries, path = columns(told["rows"]), columns(told["entries"]), columns(told["path"])
+        assert len(rows["cell"]) == told["expanded"]
+        expanded = {row: i for i, row in enumerate(entries["row"]) if row >= 0}
+        assert sorted(expanded) == list(range(told["expanded"]))
+        for row, i in expanded.items():
+            for name in ("cell", "heading", "g", "h"):
+                assert entries[name][i] == rows[name][row]
+            if rows["by"][row] >= 0:
+                dx = abs(rows["cell"][row] % width - rows["cell"][rows["by"][row]] % width)
+                dy = abs(rows["cell"][row] // width - rows["cell"][rows["by"][row]] // width)
+                assert dx + dy == 1 or (dx == dy == 1 and neighbours == 8)
+        if told["solved"]:
+            assert path["cell"][0] == start[0] + width * start[1]
+            assert path["cell"][-1] == goal[0] + width * goal[1]
+            assert told["longer"] == pytest.approx(told["cost"] / 1000 / least - 1, abs=1e-3)
+            assert told["longer"] == 0 or not told["admissible"]
+
+
+def test_the_paper_s_lengths_are_an_example() -> None:
+    answer = heuristics.answer(heuristics.PRESETS[0].query)
+    costs = {told["panel"]: told["cost"] for told in answer["panels"]}
+    assert [costs[f"four.{rule}.fifo"] for rule in heuristics.RULES] == [14_000] * 4
+    assert [costs[f"eight.{rule}.fifo"] for rule in heuristics.RULES] == [11_071] * 4
+    oversteps = next(p for p in heuristics.PRESETS if p.word == "Manhattan oversteps")
+    longer = {told["panel"]: told["longer"] for told in heuristics.answer(oversteps.query)["panels"]}
+    assert longer["four.manhattan.fifo"] == 0
+    assert longer["eight.manhattan.fifo"] > 0.05 < longer["cut.manhattan.fifo"]

@@ -73,7 +73,7 @@ def colour(page: Page, x: int, y: int, panel: int = 0) -> str:
 def test_the_cards_lead_to_the_lessons_and_their_examples(dashboard: Any, page: Page) -> None:
     page.goto(f"{dashboard.url}/learn")
     cards = page.locator(".wl-lesson-card")
-    expect(cards.locator("h2")).to_have_text(["Search playback", "Constraint tree"])
+    expect(cards.locator("h2")).to_have_text(["Search playback", "Heuristics matrix", "Constraint tree"])
     page.get_by_role("link", name="Tie rules").click()
     settled(page, PATIENCE_MS)
     expect(page.locator(".wl-lesson-panel")).to_have_count(4)
@@ -113,6 +113,33 @@ def test_a_search_is_stepped_with_keys_and_buttons(dashboard: Any, page: Page) -
     page.get_by_role("button", name="Play (Space)").click()
     expect(page.get_by_label("Step number")).to_have_value("128")
     expect(page.get_by_role("button", name="Play (Space)")).to_be_visible()
+
+
+def test_the_matrix_steps_all_its_searches_together(dashboard: Any, page: Page) -> None:
+    open_lesson(page, f"{dashboard.url}/learn/heuristics?step=30")
+    panels = page.locator(".wl-lesson-panel")
+    expect(panels).to_have_count(8)
+    done = page.locator(".wl-lesson-counts").evaluate_all("each => each.map((e) => Number(e.dataset.done))")
+    assert done == [30, 30, 30, 30, 10, 20, 30, 18]
+    page.keyboard.press("End")
+    expect(page.locator(".wl-lesson-counts").nth(0)).to_contain_text("14.00 long")
+    expect(page.locator(".wl-lesson-counts").nth(7)).to_contain_text("11.07 long")
+    rows = page.locator(".wl-lesson-now tbody tr")
+    expect(rows).to_have_count(8)
+    expect(rows.nth(4)).to_have_text("8 neighbours, Manhattan *1011.07")
+    # another heuristic of one search, from its menu; the address holds it
+    before = answers(page)
+    page.get_by_label("Connectivity of search 8").select_option("cut")
+    after(page, before)
+    until(page, "location.search.includes('~cut.octile.fifo')")
+    page.reload()
+    settled(page)
+    expect(page.get_by_label("Connectivity of search 8")).to_have_value("cut")
+    page.get_by_role("button", name="Manhattan oversteps").click()
+    expect(panels).to_have_count(6)
+    settled(page)
+    page.keyboard.press("End")
+    expect(page.locator(".wl-lesson-counts").nth(1)).to_contain_text("+6.6 %")
 
 
 def test_pointing_at_a_cell_tells_its_states(dashboard: Any, page: Page) -> None:

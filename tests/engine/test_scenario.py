@@ -314,7 +314,10 @@ def test_load_reads_files_and_says_what_is_wrong_with_them(tmp_path: Path) -> No
     ("name", "sentence"),
     [
         ("soochow2023", "unknown scenario 'soochow2023'; did you mean 'soochow2022'?"),
-        ("xyz", "unknown scenario 'xyz'; known: lian2024, soochow2022, soochow2022-continuous, wang2019, warehouse-large"),
+        (
+            "xyz",
+            "unknown scenario 'xyz'; known: lian2024, soochow2022, soochow2022-continuous, wang2019, warehouse-large",
+        ),
         ("nowhere/mine.toml", "nowhere/mine.toml: there is no such file"),
         ("../soochow2022", "../soochow2022: there is no such file"),
         ("mine.toml", "mine.toml: there is no such file"),
@@ -339,6 +342,7 @@ def test_the_library_lists_names_with_titles() -> None:
         "soochow2022-continuous": "Soochow floor, orders without end",
         "warehouse-large": "Large warehouse: 200 AGVs",
         "xu2025": "Xu & Wang 2025: four vehicles from corner to corner",
+        "wang2019": "Wang et al. 2019: two robots, four orders, two exits",
     }
 
 
