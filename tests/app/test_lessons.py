@@ -328,7 +328,7 @@ def test_a_matrix_plays_its_searches(question: tuple[np.ndarray, naive.Cell, nai
         mode = text.partition(".")[0]
         _, neighbours, cut = heuristics.MODES[mode]
         least = naive_dispatch.shortest(free.tolist(), neighbours, cut, start, goal)
-        assert told["solved"] is np.isfinite(least)
+        assert told["solved"] == np.isfinite(least)
         rows, entries, path = columns(told["rows"]), columns(told["entries"]), columns(told["path"])
         assert len(rows["cell"]) == told["expanded"]
         expanded = {row: i for i, row in enumerate(entries["row"]) if row >= 0}
