@@ -79,6 +79,7 @@ def passport(status: Mapping[str, Any]) -> html.Dl:
                 "Planner",
                 f"{status['planner']}, least {status['objective']}" if status.get("objective") else status["planner"],
             ),
+            ("Dispatcher", status.get("dispatcher")),
             ("Fleet", f"{status['fleet']} vehicles"),
             ("Seed", str(status["seed"])),
             ("Forked from", origin),

