@@ -595,7 +595,7 @@ def _all_schedules(result: Cell) -> Figure:
     best, second = result["by_end"][:2]
     note = (
         f"Makespans of all {result['schedules']} ways to assign, sequence and bring out the four orders. "
-        f"{best[1]} of them end after {seconds(best[0]):.2f} s, the next after {seconds(second[0]):.2f} s."
+        f"The least, {seconds(best[0]):.2f} s, is that of {best[1]}; then comes {seconds(second[0]):.2f} s."
     )
     data = {"series": [{"name": "schedules", "values": values}], "x_title": "makespan, s", "note": note}
     return Figure("schedules", "Every schedule of the case", "histogram", data)
