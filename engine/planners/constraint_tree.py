@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -22,10 +22,10 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 MILLION = 1_000_000
-CHUNK_NODES, CHUNK_WORK = 200, 500_000
-"""Work between two looks at the limits."""
-PAIR_NODES, PAIR_WORK = 200, 500_000
-"""Work for the optimum of one pair; what is proven by then is its bound."""
+CHUNK_NODES, CHUNK_WORK = 200, 400_000
+"""Nodes and steps of work between two looks at the limits: below 0.1 s."""
+PAIR_NODES, PAIR_EXPANSIONS = 200, 500_000
+"""For the optimum of one pair; what is proven by then is its bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,10 +279,13 @@ def orders_of(h0: I64, tries: int) -> I32:
 
 
 def solve_tree(
-    problem: Problem, limits: Limits, settings: Settings, *, energy: bool, trace: bool
-) -> tuple[Solution, bool, list[I32]]:
-    """Run the tree. The solution has no states yet: they are the third value, as places where the
-    second is true."""
+    problem: Problem, limits: Limits, settings: Settings, *, energy: bool, trace: bool,
+    later: Callable[[], None] = lambda: None,
+) -> tuple[Solution, bool, list[I32]]:  # fmt: skip
+    """Run the tree. The solution has no states yet: they are the third value, as places where the second is true.
+
+    later: called once when a first chunk of work doesn't suffice.
+    """
     n = len(problem.starts)
     note = _refused(problem)
     if note:
@@ -298,6 +301,8 @@ def solve_tree(
     goals = np.ascontiguousarray(problem.goals, np.int32)
     cls = np.ascontiguousarray(problem.cls, np.int32) if energy else np.zeros(n, np.int32)
     for k in range(n):
+        if limits.stop():
+            return Solution(PlanStatus.BUDGET_SPENT, (), 0, 0, 0, 0), on_places, []
         low.fill_cost_to_goal(roads, cls[k], goals[k], problem.blocked, room.h[k], room.keys, room.items)
     h0 = room.h[np.arange(n), starts]
     if (h0 >= FAR).any():
@@ -311,7 +316,7 @@ def solve_tree(
     _begin(room)
     if settings.pairs and n > 2 and _go(room, case, options, replace(limits, nodes=0)) == high.MORE:
         _pair_costs(room, _room((graph if energy else roads), roads, 2), case, options, limits)
-    ended = _go(room, case, options, limits)
+    ended = _go(room, case, options, limits, later)
     return _answer(room, graph, settings, ended, energy, trace), on_places, _ways(room)
 
 
@@ -323,18 +328,23 @@ def _begin(room: _Room) -> None:
     num[high.PAIR_STAMP], num[high.BEST_COST] = stamp, high.NEVER
 
 
-def _go(room: _Room, case: high.Case, options: I64, limits: Limits) -> int:
+def _go(
+    room: _Room, case: high.Case, options: I64, limits: Limits, later: Callable[[], None] | None = None
+) -> int:  # fmt: skip
     """Run the tree within limits, making room where it runs short; how it ended."""
     while True:
         num = room.tree.num
         nodes = min(limits.nodes - int(num[high.HIGH]), CHUNK_NODES)
-        work = min(limits.expansions - int(num[high.LOW]), CHUNK_WORK)
         ended = int(
             high.run(
-                room.roads, room.work, case, room.tree, room.desk, room.layers[0], room.layers[1], options, nodes, work
+                room.roads, room.work, case, room.tree, room.desk, room.layers[0], room.layers[1], options, nodes,
+                limits.expansions - int(num[high.LOW]), CHUNK_WORK,
             )
-        )
+        )  # fmt: skip
         num = room.tree.num
+        if ended == high.MORE and later is not None:
+            later()
+            later = None
         if ended == high.GROW:
             room.grow()
         elif ended != high.MORE:
@@ -350,13 +360,15 @@ def _pair_costs(room: _Room, two: _Room, case: high.Case, options: I64, limits: 
     options[high.PAIRED], options[high.COVER], options[high.W_MILLION] = 0, 0, MILLION
     found = int(desk.found[0])
     for i, j in sorted(set(zip(desk.a[:found].tolist(), desk.b[:found].tolist(), strict=True))):
+        if limits.stop():
+            return
         both = np.array([i, j])
         alone = high.Case(
             case.start[both], case.goal[both], case.cls[both], case.h[both], case.mass[both], case.weights,
             np.array([[0, 1], [1, 0]], np.int32), np.zeros((2, 2), np.int64),
         )  # fmt: skip
         _begin(two)
-        _go(two, alone, options, replace(limits, nodes=PAIR_NODES, expansions=PAIR_WORK))
+        _go(two, alone, options, replace(limits, nodes=PAIR_NODES, expansions=PAIR_EXPANSIONS))
         case.pair[i, j] = case.pair[j, i] = two.tree.num[high.BOUND]
         room.tree.num[high.LOW] += two.tree.num[high.LOW]
 

@@ -46,12 +46,19 @@ class ECBS:
             tries=0 if self.priority_branch else self.tries,
             w=self.w, weights=self.weights,
         )  # fmt: skip
-        found, _, ways = solve_tree(problem, limits, settings, energy=True, trace=trace)
+        # a search that doesn't finish is never worse than time windows, which are laid early, before time is up
+        aside: list[Solution] = []
+
+        def lay_windows() -> None:
+            if not aside and not self.priority_branch and serves_windows(problem):
+                aside.append(TimeWindow().solve(problem, Limits(stop=limits.stop)))
+
+        found, _, ways = solve_tree(problem, limits, settings, energy=True, trace=trace, later=lay_windows)
         found = replace(found, states=tuple(ways)) if ways else found
-        if found.status is not PlanStatus.BUDGET_SPENT or self.priority_branch or not serves_windows(problem):
+        if found.status is not PlanStatus.BUDGET_SPENT:
             return found
-        # a search that didn't finish is never worse than time windows
-        windows = TimeWindow().solve(problem, Limits())
+        lay_windows()
+        windows = aside[0] if aside else found
         if not windows.states or (found.states and found.cost <= windows.cost):
             return found
         return replace(found, states=windows.states, cost=windows.cost, note="the plan is that of time windows")

@@ -129,7 +129,7 @@ def _floor(view: View, loaded: bool) -> Floor:
         if graph is view.graph and costs is view.costs and load == loaded:
             if not np.array_equal(floor.blocked, view.blocked):
                 floor.blocked[:] = view.blocked
-                for name in ("grounds", "back"):
+                for name in ("grounds", "back", "two_way", "lattice"):
                     floor.__dict__.pop(name, None)
             return floor
     c = view.costs
