@@ -10,7 +10,7 @@ from engine.planners.base import Budget, Plan, View, no_plan
 from engine.planners.kernels import sipp
 from engine.planners.kernels.tables import TICK, Tables, packed, packed_energy
 from engine.traffic import FAR, STAY, Claims, ground_of
-from engine.types import FOREVER, Occupancy, PlanStatus
+from engine.types import Occupancy, PlanStatus
 from engine.world.motion_graph import MotionGraph
 
 _STATUS = {
@@ -72,11 +72,10 @@ class FloorSearch:
             return no_plan(PlanStatus.INCONSISTENT, note="a request without goals")
         if len(r.legs) > sipp.MAX_LEGS:
             return no_plan(PlanStatus.INCONSISTENT, note=f"a request with more than {sipp.MAX_LEGS} goals")
-        by = [r.tick] * (len(r.legs) - 1) + [FOREVER]
-        if any(taken_for_good(view.claims, leg.place, tick) for leg, tick in zip(r.legs, by, strict=True)):
-            return no_plan(PlanStatus.NO_PATH)
         goals = np.array([leg.place for leg in r.legs], np.int32)
         stays = np.array([leg.stay_ticks for leg in r.legs], np.int32)
+        if sipp.a_goal_is_taken(view.claims, goals, r.tick):
+            return no_plan(PlanStatus.NO_PATH)
         tables = self.time if objective == "time" else self.energy
         wanted = set(goals.tolist())
         slots = np.array([tables.slot(goal, wanted) for goal in goals.tolist()], np.int32)
@@ -123,14 +122,6 @@ class FloorSearch:
     def _long_trail(self, node: int) -> int:
         self._steps = [np.zeros(len(self._work.state), np.int32) for _ in range(3)]
         return int(sipp.trail(self._work, node, *self._steps))
-
-
-def taken_for_good(claims: Claims, place: int, tick: int) -> bool:
-    """True when somebody stays in a place with no end known, at a tick or before it."""
-    slot = place
-    while claims.next[slot] >= 0:
-        slot = int(claims.next[slot])
-    return bool(claims.end[slot] >= FOREVER and claims.start[slot] <= tick)
 
 
 def settled(claims: Claims) -> int:

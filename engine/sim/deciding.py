@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from engine.dispatch.base import NOBODY_FREE
 from engine.planners.base import Leg
-from engine.sim import operating, planning, recovery, together
+from engine.sim import kernels, operating, planning, recovery, together
 from engine.sim.state import ARRIVED, CHARGED, EMPTY, ORDER_DONE, PICKED, STALLED
 from engine.types import FOREVER, NONE, Activity, OrderState, PlanStatus, StationKind, Task
 from engine.units import ticks_from_s
@@ -150,11 +148,12 @@ def arrived(sim: Simulation, v: int) -> None:
 
 
 def refresh_view(sim: Simulation) -> None:
-    f, g = sim.fleet, sim.graph
+    f, battery = sim.fleet, sim.parts.battery
     sim.view.tick = sim.tick
-    # edge -1 reads the last edge, which is then not used
-    np.copyto(sim.view.at, np.where(f.edge >= 0, g.edge_to[f.edge], f.state))
-    np.copyto(sim.view.charge_mj, sim.parts.battery.energy_mj(f.charge))
+    kernels.refresh(
+        f.edge, f.state, f.charge, sim.graph.edge_to, battery.below_mv, battery.voltage_mv, battery.capacity_mc,
+        sim.view.at, sim.view.charge_mj,
+    )  # fmt: skip
 
 
 def idle_vehicles(sim: Simulation) -> list[int]:

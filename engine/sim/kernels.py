@@ -510,6 +510,20 @@ def run(
 
 
 @lean
+def refresh(
+    edge: I32, state: I32, charge: I64, edge_to: I32, below_mv: I64, voltage_mv: I64, capacity: int, at: I32,
+    charge_mj: I64,
+) -> None:  # fmt: skip
+    """Where each vehicle's next plan would start, and its energy (Battery.energy_mj), into the last two."""
+    last = len(voltage_mv) - 1
+    for v in range(len(edge)):
+        at[v] = edge_to[edge[v]] if edge[v] >= 0 else state[v]
+        q = max(charge[v], 0)
+        i = min(q * last // capacity, last)
+        charge_mj[v] = (below_mv[i] * capacity + voltage_mv[i] * (q * last - i * capacity)) // (1000 * last)
+
+
+@lean
 def digest(lanes: U64, rows: I64, count: int) -> None:
     """Fold rows of integers into two 64-bit lanes, in order; independent of how rows are batched."""
     a, b = lanes[0], lanes[1]
