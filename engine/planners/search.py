@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +33,7 @@ class FloorSearch:
         pivots = any(p.pivot for p in graph.primitives)
         self.time = Tables(graph, packed(graph.kind_ticks, least), poses=not pivots)
         self.energy = Tables(graph, packed_energy(graph.kind_ticks, least), poses=False)
+        self.room: dict[str, Any] = {}
         self._by_edge: dict[str, tuple[int, Tables]] = {}
         self._work = sipp.new_work(1 << 14, 1)
         self._out = np.zeros(2, np.int64)

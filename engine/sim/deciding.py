@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from engine.dispatch.base import NOBODY_FREE
 from engine.planners.base import Leg
 from engine.sim import kernels, operating, planning, recovery, together
-from engine.sim.state import ARRIVED, CHARGED, EMPTY, ORDER_DONE, PICKED, STALLED
+from engine.sim.state import ARRIVED, CHARGED, EMPTY, ORDER_DONE, PICKED, RESTLESS, STALLED
 from engine.types import FOREVER, NONE, Activity, OrderState, PlanStatus, StationKind, Task
 from engine.units import ticks_from_s
 
@@ -39,7 +39,9 @@ def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
     charging(sim)
     dispatch(sim)
     planning.retime(sim)
-    if unplanned_work(sim):
+    restless = unplanned_work(sim)
+    sim.clock[RESTLESS] = int(restless or sim.plan_all or len(sim.goals) > 0)
+    if restless:
         sim.retry = sim.tick + max(1, ticks_from_s(recovery.RETRY_S, sim.tick_s))
     check_done(sim)
 
@@ -75,17 +77,26 @@ def order_row(sim: Simulation, order: int, tick: int | None = None) -> None:
     )  # fmt: skip
 
 
-def read_marks(sim: Simulation) -> bool:
-    """Take note of what the kernel tells; False when loads were picked up and nothing else happened."""
+def read_marks(sim: Simulation, before: int = FOREVER) -> bool:
+    """Take note of what the kernel tells, but for the marks of later ticks; False when loads were picked up at most.
+
+    Marks of earlier ticks are loads for which nobody had to be asked; they go into the log before what comes now.
+    """
     sink = sim.sink
     n = int(sink.filled[3])
+    if n == 0 or sink.marks[0, 0] >= before:
+        return False
     marks = sink.marks[:n].tolist()
-    sink.filled[3] = 0
+    later = [mark for mark in marks if mark[0] >= before]
+    sink.marks[: len(later)] = sink.marks[n - len(later) : n]
+    sink.filled[3] = len(later)
+    marks = marks[: n - len(later)]
     for tick, v, bit, order in marks:
         if bit == PICKED:
             sim.book.state[order] = int(OrderState.PICKED)
             order_row(sim, order, tick)
-            exchange(sim, v, sim.book.from_station[order])
+            if tick == sim.tick:
+                exchange(sim, v, sim.book.from_station[order])
         elif bit == ORDER_DONE:
             order_done(sim, tick, v, order)
         elif bit == ARRIVED:
