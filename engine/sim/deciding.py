@@ -29,7 +29,6 @@ def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
     if not (news or broken or more or sim.plan_all or unplanned_work(sim)):
         planning.retime(sim)
         return
-    sim.source.see(len(sim.book.open))
     take_orders(sim)
     if broken:
         recovery.break_and_repair(sim)
@@ -38,9 +37,11 @@ def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
     refresh_view(sim)
     charging(sim)
     dispatch(sim)
+    while more_orders(sim) and free_vehicles(sim):
+        dispatch(sim)
     planning.retime(sim)
     restless = unplanned_work(sim)
-    sim.clock[RESTLESS] = int(restless or sim.plan_all or len(sim.goals) > 0)
+    sim.clock[RESTLESS] = int(restless or len(sim.goals) > 0)
     if restless:
         sim.retry = sim.tick + max(1, ticks_from_s(recovery.RETRY_S, sim.tick_s))
     check_done(sim)
@@ -57,6 +58,12 @@ def take_orders(sim: Simulation) -> bool:
         add_order(sim, a, b, source=0)
         taken = True
     return taken
+
+
+def more_orders(sim: Simulation) -> bool:
+    """Let the source see how many orders are open, and take what comes at once."""
+    sim.source.see(len(sim.book.open))
+    return take_orders(sim)
 
 
 def add_order(sim: Simulation, a: int, b: int, source: int) -> int:

@@ -104,7 +104,7 @@ class Simulation:
         self.search = parts.search
         self.swaps = parts.scenario.battery.exchange == "swap"
         self.goals = parts.goals
-        self.plan_all = True  # everybody with a goal is to be planned at the next occasion
+        self.plan_all = len(parts.goals) > 0  # everybody with a goal is to be planned at the next occasion
         self.together_at, self.together_pause = 0, 1
         self.memory: Memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.levels = self._levels(n)
@@ -329,7 +329,7 @@ class Simulation:
         """Go on with another planner, policies or order source; motions already committed finish first."""
         old = self.parts
         if parts.planner != old.planner or parts.solver != old.solver:
-            self.plan_all = True
+            self.plan_all = len(self.goals) > 0
             self.clock[RESTLESS] = 1
             self.clock[DECIDE] |= len(self.goals) > 0
             self.memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
