@@ -51,6 +51,7 @@ class FloorView:
     paused: NDArray[np.int8]  # (V,)
     exits: tuple[int, ...] = ()  # places of the exits when a dispatcher chooses among them; else orders say where
     region: NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, np.int16))  # (P,) empty without regions
+    _near: dict[int, NDArray[np.int32]] = field(default_factory=dict)
 
     def targets(self, order: int) -> list[int]:
         """Places, not blocked, where an order may be brought; empty also when its load can't be fetched."""
@@ -76,26 +77,35 @@ class FloorView:
         driving = (mj - ticks * self.standby_mj) * (self.heaviest if loaded else 1.0)
         return int(driving) + ticks * self.standby_mj + self.search.restart_mj
 
+    @property
+    def chargers(self) -> int:
+        """How many chargers work."""
+        return int(np.count_nonzero(self.is_charger))
+
     def to_charger_mj(self, place: int) -> int:
         """Energy of the way from a place to the nearest charger as the crow flies; 0 on a floor without."""
-        chargers = self.rests[self.is_charger[self.rests] == 1]
-        if len(chargers) == 0:
+        if not self.chargers:
             return 0
+        chargers = self.rests[self.is_charger[self.rests] == 1]
         away = np.abs(self.xy[chargers] - self.xy[place]).sum(axis=1)
         return self.need_mj(int(self.search.graph.place_ptr[place]), int(chargers[int(away.argmin())]), False)
 
     def nearest_rest(self, vehicle: int, place: int, chargers_only: bool, count: int = 3) -> list[int]:
         """The nearest free rest places by distance as the crow flies; the vehicle's own counts as free."""
-        rests = self.rests
-        taken = self.holder[rests]
-        ok = ((taken == NONE) | (taken == vehicle)) & (self.blocked[rests] == 0)
+        near = self.rests_by_distance(place)
+        taken = self.holder[near]
+        ok = ((taken == NONE) | (taken == vehicle)) & (self.blocked[near] == 0)
         if chargers_only:
-            ok &= self.is_charger[rests] == 1
-        some = rests[ok]
-        if len(some) == 0:
-            return []
-        away = np.abs(self.xy[some] - self.xy[place]).sum(axis=1)
-        return [int(some[i]) for i in np.argsort(away, kind="stable")[:count]]
+            ok &= self.is_charger[near] == 1
+        found: list[int] = near[ok][:count].tolist()
+        return found
+
+    def rests_by_distance(self, place: int) -> NDArray[np.int32]:
+        """All rest places, the nearest to a place first; sorted once per place."""
+        if place not in self._near:
+            away = np.abs(self.xy[self.rests] - self.xy[place]).sum(axis=1)
+            self._near[place] = self.rests[np.argsort(away, kind="stable")]
+        return self._near[place]
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, field_validator
 
 from engine.errors import BadInput, unknown_name
 from engine.scenario.blocks import rows_of_blocks
@@ -187,14 +187,20 @@ class BatterySection(Section):
     model: str = Field(default="coulomb", min_length=1, description="Battery model, joules to state of charge")
     capacity_wh: Positive = Field(default=1000.0, description="Energy of a full battery")
     voltage_v: Positive = Field(default=48.0, description="Nominal voltage")
-    exchange: Literal["none", "swap"] = Field(
-        default="none",
-        description="swap: who loads or unloads at an entrance gets a full battery when below charging.good",
+    exchange: Literal["off", "swap", "charge"] = Field(
+        default="off",
+        description="At entrances. swap: who loads or unloads there below charging.good gets a full battery. "
+        "charge: on a network they are chargers, too",
     )
     initial_soc: SoC | tuple[SoC, SoC] = Field(
         default=1.0, description="State of charge at the start; [low, high] is drawn per vehicle from the seed"
     )
     parameters: dict[str, float] = Field(default_factory=dict, description="Parameters of the battery model")
+
+    @field_validator("exchange", mode="before")
+    @classmethod
+    def _off(cls, value: object) -> object:
+        return "off" if value == "none" else value  # the word in older runs
 
     @property
     def asked(self) -> dict[str, Any]:
@@ -328,6 +334,7 @@ class Scenario(Section):
                 kerbs=(self.floor.network or NetworkSection()).kerbs,
                 occupancy=Occupancy(self.floor.occupancy),
                 margin_ticks=self.floor.margin_ticks,
+                entrances_charge=self.battery.exchange == "charge",
             )
         return FloorPlan(
             rows=self.floor.drawing(),

@@ -40,6 +40,7 @@ from engine.sim.state import (
     LINGERING,
     MARGIN,
     PATIENCE,
+    RESTLESS,
     SAMPLE,
     SEED,
     TICK,
@@ -104,10 +105,11 @@ class Simulation:
         self.search = parts.search
         self.swaps = parts.scenario.battery.exchange == "swap"
         self.goals = parts.goals
-        self.plan_all = True  # everybody with a goal is to be planned at the next occasion
+        self.plan_all = len(parts.goals) > 0  # everybody with a goal is to be planned at the next occasion
         self.together_at, self.together_pause = 0, 1
         self.memory: Memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.levels = self._levels(n)
+        self.tick = 0
         self.clock = np.zeros(LINGERING + 1, np.int64)
         self.linger = np.full(16 * n + 64, NONE, np.int32)
         self.go, self.wait_for = np.zeros(n, np.int8), np.zeros(n, np.int32)
@@ -172,7 +174,7 @@ class Simulation:
         clock[SEED] = self.parts.seed % 2**62
         clock[DELAY_PPM] = round(s.faults.delay_probability * 1e6)
         clock[DELAY_LO], clock[DELAY_HI] = s.faults.delay_ticks
-        clock[HALF] = clock[DECIDE] = 1
+        clock[HALF] = clock[DECIDE] = clock[RESTLESS] = 1
         f.cls[:] = self.parts.cls
         f.charge[:] = np.rint(self.parts.initial_soc * self.parts.battery.capacity_mc).astype(np.int64)
         for v, place in enumerate(self.parts.start):
@@ -193,10 +195,6 @@ class Simulation:
             if any(k.turn_deg == 0 and k.length_mm for k in kinds):
                 return s
         return int(g.place_ptr[place])
-
-    @property
-    def tick(self) -> int:
-        return int(self.clock[TICK])
 
     @property
     def log(self) -> Recorder | None:
@@ -263,7 +261,8 @@ class Simulation:
                 self.parts.costs.total_mj, self.parts.costs.standby_mj, self.levels, c, self.blocked, self.linger,
                 self.go, self.wait_for, max(wake, self.tick),
             )  # fmt: skip
-            self.view.tick = self.tick
+            self.tick = self.view.tick = int(c[TICK])
+            deciding.read_marks(self, self.tick)
             if status == 2:
                 self.drain()
                 continue
@@ -274,6 +273,8 @@ class Simulation:
             again = self.retry <= self.tick
             if status == 1 or arrived or broken or again:
                 deciding.decide(self, broken, arrived or again)
+            else:
+                deciding.read_marks(self)
             if status == 0 and self.tick >= target:
                 break
         return self.tick - first
@@ -330,7 +331,8 @@ class Simulation:
         """Go on with another planner, policies or order source; motions already committed finish first."""
         old = self.parts
         if parts.planner != old.planner or parts.solver != old.solver:
-            self.plan_all = True
+            self.plan_all = len(self.goals) > 0
+            self.clock[RESTLESS] = 1
             self.clock[DECIDE] |= len(self.goals) > 0
             self.memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.parts = replace(
