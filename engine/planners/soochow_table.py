@@ -1,6 +1,6 @@
 """The Soochow thesis's reservation table, as it is described and corrected.
 
-Thesis 2022, chapter 4.2 (`strict_thesis`): vehicles are planned in the order of their tasks. Everybody's way is a list
+Thesis 2022, chapter 4.2 (`strict_thesis`), where every step takes a tick: vehicles are planned in the order of their tasks. Everybody's way is a list
 of (place, tick), and its last place is entered for one tick more. A way that meets the table in between is searched
 again with the place of the conflict as an obstacle; a way that meets it at its end begins one tick later, and again.
 Nothing else is looked at: not two vehicles that change places, not diagonals that cross, not vehicles that stay longer
@@ -54,7 +54,6 @@ class SoochowTable:
     promise = Promise(
         summary="the Soochow thesis's reservation table; with strict_thesis as described, which collides",
         turnings=frozenset({"arc"}),
-        unit=True,
         cells=True,
     )
 
@@ -165,13 +164,13 @@ def _timed(view: View, legs: list[tuple[I32, int]]) -> Plan:
         floor = floor_of(view, leg.loaded)
         states = floor.along(np.append(np.full(wait, way[0], np.int32), way), state if not wait else state & ~1)
         moves = edges_along(g, states)
-        begin = tick + wait
+        ends_at = tick + wait + np.cumsum(g.kind_ticks[g.edge_kind[moves]], dtype=np.int64)
         energy += int(view.costs.total_mj[r.cls, int(leg.loaded), g.edge_kind[moves]].sum())
         edges += [*moves.tolist(), STAY]
         what += [*([-1] * len(moves)), int(leg.what)]
-        starts += [*range(begin, begin + len(moves) + 1)]
-        tick = begin + len(moves) + leg.stay_ticks
-        ends += [*range(begin + 1, begin + len(moves) + 1), tick]
+        starts += [tick + wait, *ends_at.tolist()]
+        tick = starts[-1] + leg.stay_ticks
+        ends += [*ends_at.tolist(), tick]
         state = int(states[-1]) if not leg.stay_ticks else int(states[-1]) & ~1
     n = len(edges) - 1  # the last stay is forever
     energy += (int(ends[n - 1]) - r.tick) * int(view.costs.standby_mj[r.cls]) if n else 0

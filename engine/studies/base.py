@@ -29,6 +29,7 @@ from engine.errors import InvariantBroken, RunError, ScenarioError, WattlaneErro
 
 STUDIES: dict[str, str] = {
     "xu2025": "engine.studies.xu2025:Xu2025",
+    "soochow2022": "engine.studies.soochow2022:Soochow2022",
 }
 
 Cell = dict[str, Any]
