@@ -33,7 +33,9 @@ def probabilities(tau: Any, eta: Any, alpha: float, beta: float, factor: float =
     return weights / weights.sum()
 
 
-def ant(step: Any, closed: Any, weight: Any, start: int, goal: int, aco: Any, random: SplitMix) -> list[tuple[int, int]]:
+def ant(
+    step: Any, closed: Any, weight: Any, start: int, goal: int, aco: Any, random: SplitMix
+) -> list[tuple[int, int]]:
     """(place, direction) of every step of one ant; empty when it is lost."""
     none, explore = len(step) - 1, aco.explore if aco.rule == "improved" else 1.0
     seen, trail, at = {start}, [], start
@@ -74,12 +76,17 @@ def colony(floor: Any, aco: Any, start: int, goal: int, seed: int) -> tuple[list
     for k in range(aco.iterations):
         induced = (1 - aco.xi) / aco.xi * (aco.iterations - k) / aco.iterations
         kind = aco.inducement if aco.rule == "improved" else "off"
-        power, factor = (aco.beta * induced if kind == "exponent" else aco.beta), (induced if kind == "literal" else 1.0)
+        power, factor = (
+            (aco.beta * induced if kind == "exponent" else aco.beta),
+            (induced if kind == "literal" else 1.0),
+        )
         # scalar powers: NumPy's own over arrays may differ in the last bit
         weight = np.array(
-            [[float(t) ** float(aco.alpha) * (factor * float(e)) ** power if ok else 0.0 for t, e, ok in zip(*row)]
-             for row in zip(tau, eta_to, leads, strict=True)]
-        )  # fmt: skip
+            [
+                float(t) ** float(aco.alpha) * (factor * float(e)) ** power if ok else 0.0
+                for t, e, ok in zip(tau.ravel(), eta_to.ravel(), leads.ravel(), strict=True)
+            ]
+        ).reshape(tau.shape)
         trails = [ant(step, closed, weight, start, goal, aco, random) for _ in range(aco.ants)]
         home = [trail for trail in trails if trail]
         for trail in home:
@@ -122,7 +129,9 @@ def main() -> None:
         way, _, _ = colony(floor, aco, start, goal, number)
         slow_s += process_time() - begun
         assert way == found.places.tolist()
-    print(f"NumPy {slow_s / 4 * 1e3:.1f} ms, compiled {fast_s / 4 * 1e3:.2f} ms per colony: {slow_s / fast_s:.0f} times")
+    print(
+        f"NumPy {slow_s / 4 * 1e3:.1f} ms, compiled {fast_s / 4 * 1e3:.2f} ms per colony: {slow_s / fast_s:.0f} times"
+    )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from engine.energy import CostTable
 from engine.errors import unknown_name
 from engine.planners.base import Memory, Promise, View
-from engine.planners.kernels import ants
+from engine.planners.kernels import ants as kernels
 from engine.planners.routes import edges_along, floor_of
 from engine.planners.single import Floor
 from engine.types import PlanStatus
@@ -31,7 +31,7 @@ from engine.world.motion_graph import MotionGraph
 I32 = NDArray[np.int32]
 F64 = NDArray[np.float64]
 
-INDUCEMENTS = {"exponent": ants.EXPONENT, "literal": ants.LITERAL, "off": ants.OFF}
+INDUCEMENTS = {"exponent": kernels.EXPONENT, "literal": kernels.LITERAL, "off": kernels.OFF}
 RULES = ("improved", "classic")
 MOST = 70.0
 """Largest exponent: beyond, τ^α η^β of a far place is no number any more."""
@@ -103,11 +103,11 @@ class Aco:
         if self.inducement == "exponent" and self.beta * (1 - self.xi) / self.xi > MOST:
             raise ValueError(f"beta · (1 − xi) / xi must be at most {MOST:g}; got {self.beta!r} and {self.xi!r}")
 
-    def rules(self) -> ants.Rules:
+    def rules(self) -> kernels.Rules:
         """The parameters as kernels take them."""
         improved = self.rule == "improved"
-        kind = INDUCEMENTS[self.inducement] if improved else ants.OFF
-        return ants.Rules(
+        kind = INDUCEMENTS[self.inducement] if improved else kernels.OFF
+        return kernels.Rules(
             self.ants, self.iterations, float(self.alpha), float(self.beta), float(self.rho), float(self.q),
             float(self.explore) if improved else 1.0, float(self.xi), float(self.tau0), float(self.low),
             float(self.high), kind, improved, bool(self.retreat),
@@ -118,9 +118,11 @@ class Aco:
         xy = floor.grounds.xy[:-1].astype(np.int64)
         dx, dy = np.abs((xy & 0xFFFF) - (xy[goal] & 0xFFFF)), np.abs((xy >> 16) - (xy[goal] >> 16))
         if self.rule == "improved":
-            return 1.0 / (1.0 + dx + dy)
+            near: F64 = 1.0 / (1.0 + dx + dy)
+            return near
         # at the goal 1/d would be infinite: half a cell stands for none
-        return 1.0 / np.maximum(np.hypot(dx, dy), 0.5)
+        straight: F64 = 1.0 / np.maximum(np.hypot(dx, dy), 0.5)
+        return straight
 
     def search(
         self, floor: Floor, start: int, goal: int, seed: int = 0, *, closed: NDArray[np.uint8] | None = None,
@@ -136,15 +138,16 @@ class Aco:
         shut = floor.blocked if closed is None else closed
         if shut[start] or shut[goal]:
             return Colony(PlanStatus.NO_PATH, np.zeros(0, np.int32), 0, 0, 0, 0, 0)
-        room = ants.new_room(places, ways, self.ants)
-        kept = ants.new_ant_trace(self.iterations if trace or pheromone else 0, places if pheromone else 0, ways)
+        room = kernels.new_room(places, ways, self.ants)
+        kept = kernels.new_ant_trace(self.iterations if trace or pheromone else 0, places if pheromone else 0, ways)
         out = np.zeros(6, np.int64)
-        ants.colony(step, shut, self.eta(floor, goal), start, goal, rules, seed % 2**62, room, kept, out)
-        n = int(out[ants.BEST])
+        kernels.colony(step, shut, self.eta(floor, goal), start, goal, rules, seed % 2**62, room, kept, out)
+        n = int(out[kernels.BEST])
         columns = {name: getattr(kept, name) for name in kept._fields if len(getattr(kept, name))}
         return Colony(
-            PlanStatus.SOLVED if n >= 0 else PlanStatus.NO_PATH, room.best[: n + 1].copy(), int(out[ants.AT]),
-            int(out[ants.LOST]), int(out[ants.CHOICES]), int(out[ants.EXPLOITED]), int(out[ants.RETREATS]), columns,
+            PlanStatus.SOLVED if n >= 0 else PlanStatus.NO_PATH, room.best[: n + 1].copy(), int(out[kernels.AT]),
+            int(out[kernels.LOST]), int(out[kernels.CHOICES]), int(out[kernels.EXPLOITED]),
+            int(out[kernels.RETREATS]), columns,
         )  # fmt: skip
 
     def init(self, graph: MotionGraph, costs: CostTable, rng: np.random.Generator) -> Memory:

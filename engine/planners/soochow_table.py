@@ -1,8 +1,9 @@
 """The Soochow thesis's reservation table, as it is described and corrected.
 
-Thesis 2022, chapter 4.2 (`strict_thesis`), where every step takes a tick: vehicles are planned in the order of their tasks. Everybody's way is a list
-of (place, tick), and its last place is entered for one tick more. A way that meets the table in between is searched
-again with the place of the conflict as an obstacle; a way that meets it at its end begins one tick later, and again.
+Thesis 2022, chapter 4.2 (`strict_thesis`), where every step takes a tick: vehicles are planned in the order of their
+tasks. Everybody's way is a list of (place, tick), and its last place is entered for one tick more. A way that meets the
+table in between is searched again with the place of the conflict as an obstacle; a way that meets it at its end begins
+one tick later, and again.
 Nothing else is looked at: not two vehicles that change places, not diagonals that cross, not vehicles that stay longer
 than that tick or were never planned, not the place where a vehicle waits to begin. The thesis says that this and its
 one-way rule avoid all collisions. Promise: none (`legal` is False), so its plans are executed as they are.
@@ -60,7 +61,7 @@ class SoochowTable:
     def __post_init__(self) -> None:
         if self.ways not in WAYS:
             raise ValueError(f"ways must be {' or '.join(map(repr, WAYS))}; got {self.ways!r}")
-        assert self.colony  # its parameters are checked here and now
+        self.colony.rules()  # raises for parameters that no colony has
         object.__setattr__(self, "promise", replace(type(self).promise, legal=not self.strict_thesis))
 
     @cached_property

@@ -36,7 +36,6 @@ from engine.sim.state import (
     HALF,
     HOLD,
     LATE,
-    LINGERING,
     MARGIN,
     OPEN_LOOP,
     PATIENCE,
