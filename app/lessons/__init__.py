@@ -10,6 +10,8 @@ from app.lessons.base import Lesson
 LESSONS: dict[str, str] = {
     "search": "app.lessons.search:LESSON",
     "tree": "app.lessons.tree:LESSON",
+    "ants": "app.lessons.ants:LESSON",
+    "break-it": "app.lessons.break_it:LESSON",
 }
 """The lesson at /learn/{name}, in the order of the page."""
 

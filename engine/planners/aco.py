@@ -44,7 +44,7 @@ LIMITS = {
 @dataclass(frozen=True, slots=True)
 class Colony:
     """What a colony found. places: of the best way, empty without one · counts by name · trace: columns per iteration
-    when asked for (tau (K, P, D), best, shortest, mean, lost).
+    when asked for (tau (K, P, D), way (K, P+1), best, shortest, mean, lost).
     """
 
     status: PlanStatus

@@ -76,11 +76,12 @@ def new_room(places: int, directions: int, ants: int) -> Room:
 class AntTrace(NamedTuple):
     """A row per iteration; empty arrays are not written.
 
-    tau: (K, P, D) pheromone after it · best: steps of the best way so far, -1 for none · shortest: of the iteration,
+    tau: (K, P, D) pheromone after it · way: (K, P+1) places of the best way so far · best: steps of the best way so far, -1 for none · shortest: of the iteration,
     -1 for none · mean: of the ants that arrived · lost: ants that did not.
     """
 
     tau: F32
+    way: I32
     best: I32
     shortest: I32
     mean: F64
@@ -91,7 +92,8 @@ def new_ant_trace(iterations: int, places: int = 0, directions: int = 0) -> AntT
     """Room for so many iterations, and for their pheromone when places are given."""
     rows = np.int32
     return AntTrace(
-        np.zeros((iterations if places else 0, places, directions), np.float32), np.zeros(iterations, rows),
+        np.zeros((iterations if places else 0, places, directions), np.float32),
+        np.zeros((iterations if places else 0, places + 1), rows), np.zeros(iterations, rows),
         np.zeros(iterations, rows), np.zeros(iterations), np.zeros(iterations, rows),
     )  # fmt: skip
 
@@ -234,4 +236,5 @@ def colony(
             trace.mean[k] = total / max(r.ants - lost, 1)
         if len(trace.tau):
             trace.tau[k] = room.tau
+            trace.way[k] = room.best
     out[BEST] = best
