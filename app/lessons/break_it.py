@@ -1,4 +1,4 @@
-"""Break it: where the Soochow thesis's reservation table lets vehicles meet, and the corrected one on the same floor."""
+"""Break it: where the Soochow thesis's reservation table lets vehicles meet, and the corrected one beside it."""
 
 from __future__ import annotations
 

@@ -314,7 +314,7 @@ def test_load_reads_files_and_says_what_is_wrong_with_them(tmp_path: Path) -> No
     ("name", "sentence"),
     [
         ("soochow2023", "unknown scenario 'soochow2023'; did you mean 'soochow2022'?"),
-        ("xyz", "unknown scenario 'xyz'; known: lian2024, soochow2022, soochow2022-continuous, warehouse-large"),
+        ("xyz", "unknown scenario 'xyz'; known: lian2024, soochow2022, soochow2022-battery, soochow2022-continuous"),
         ("nowhere/mine.toml", "nowhere/mine.toml: there is no such file"),
         ("../soochow2022", "../soochow2022: there is no such file"),
         ("mine.toml", "mine.toml: there is no such file"),

@@ -76,8 +76,8 @@ def new_room(places: int, directions: int, ants: int) -> Room:
 class AntTrace(NamedTuple):
     """A row per iteration; empty arrays are not written.
 
-    tau: (K, P, D) pheromone after it · way: (K, P+1) places of the best way so far · best: steps of the best way so far, -1 for none · shortest: of the iteration,
-    -1 for none · mean: of the ants that arrived · lost: ants that did not.
+    tau: (K, P, D) pheromone after it · way: (K, P+1) places of the best way so far, and best: its steps, -1 for none
+    · shortest: of the iteration, -1 for none · mean: of the ants that arrived · lost: ants that did not.
     """
 
     tau: F32
@@ -126,7 +126,7 @@ def weigh(step: I32, closed: U8, eta: F64, r: Rules, k: int, room: Room) -> None
 
 
 @njit(cache=True, nogil=True)
-def walk(step: I32, closed: U8, start: int, goal: int, r: Rules, room: Room, ant: int, stamp: int, state, out: I64):  # type: ignore[no-untyped-def]  # fmt: skip
+def walk(step, closed, start, goal, r, room, ant, stamp, state, out):  # type: ignore[no-untyped-def]
     """(random state, steps of one ant's way, or -1 when it is lost)."""
     places, ways = room.tau.shape
     path, way, seen, weight = room.path[ant], room.way[ant], room.seen, room.weight
