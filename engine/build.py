@@ -27,6 +27,8 @@ PLANNERS: dict[str, str] = {
     "astar-turns": "engine.planners.astar_turns:AStarTurns",
     "astar": "engine.planners.routes:AStarRoutes",
     "eea": "engine.planners.routes:EeaRoutes",
+    "aco": "engine.planners.aco:Aco",
+    "soochow-table": "engine.planners.soochow_table:SoochowTable",
 }
 """Lifelong planners and routers: one vehicle's request at a time."""
 SOLVERS: dict[str, str] = {
@@ -46,6 +48,7 @@ DISPATCHERS: dict[str, str] = {
     "hungarian": "engine.dispatch.hungarian:Hungarian",
     "insertion": "engine.dispatch.insertion:Insertion",
     "makespan": "engine.dispatch.makespan:Makespan",
+    "in-turn": "engine.dispatch.in_turn:InTurn",
 }
 CHARGING: dict[str, str] = {
     "levels": "engine.dispatch.levels:Levels",
@@ -384,6 +387,8 @@ def swap(
         if section not in FORKABLE and getattr(new, section) != getattr(old, section):
             raise ScenarioError(f"a fork can't change {section!r}: what is on the floor already depends on it")
     parts = parts_of(new)
+    if parts.planner.promise.legal == sim.open_loop:
+        raise ScenarioError("a fork can't change between plans that are kept apart and plans executed as they are")
     parts.source.start_at(sim.tick)
     same_orders = new.orders == old.orders and new.seed == old.seed
     sim.become(parts, keep_orders=same_orders, keep_faults=new.faults == old.faults and new.seed == old.seed)

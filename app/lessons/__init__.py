@@ -11,6 +11,8 @@ LESSONS: dict[str, str] = {
     "search": "app.lessons.search:LESSON",
     "heuristics": "app.lessons.heuristics:LESSON",
     "tree": "app.lessons.tree:LESSON",
+    "ants": "app.lessons.ants:LESSON",
+    "break-it": "app.lessons.break_it:LESSON",
 }
 """The lesson at /learn/{name}, in the order of the page."""
 

@@ -126,6 +126,9 @@ class FloorSection(Section):
     connectivity: Literal[4, 8] = Field(default=4, description="Neighbours of a cell")
     occupancy: Literal["hold", "mapf"] = Field(default="hold", description="How vehicles exclude each other")
     margin_ticks: int = Field(default=0, ge=0, le=100, description="Ticks that a place stays closed after it was left")
+    one_way: Literal["lanes", "ways"] = Field(
+        default="lanes", description="ways: crossings too may be driven only in the directions of their lanes"
+    )
     access: dict[str, Literal["south", "north", "west", "east"]] = Field(
         default_factory=dict, description="Side on which an endpoint is entered, by its name, such as R7"
     )
@@ -350,6 +353,7 @@ class Scenario(Section):
             connectivity=self.floor.connectivity,
             occupancy=Occupancy(self.floor.occupancy),
             margin_ticks=self.floor.margin_ticks,
+            one_way=self.floor.one_way,
         )
 
     def to_toml(self) -> str:

@@ -115,7 +115,8 @@ def read_marks(sim: Simulation, before: int = FOREVER) -> bool:
             sim.must_charge[v] = 0
         elif bit == EMPTY:
             sim.say("stranded", f"vehicle {v} has run empty", 2, v, int(sim.fleet.order[v]))
-            recovery.fail(sim, v)
+            if not sim.open_loop:
+                recovery.fail(sim, v)
         elif bit == STALLED:
             recovery.unlock(sim, v)
     return any(mark[2] != PICKED for mark in marks)
@@ -188,7 +189,7 @@ def free_vehicles(sim: Simulation) -> list[int]:
 
 def charging(sim: Simulation) -> None:
     idle = idle_vehicles(sim)
-    if not idle:
+    if not idle or (sim.open_loop and len(sim.goals)):
         sim.queue = []
         return
     f = sim.fleet

@@ -28,6 +28,7 @@ from engine.sim.state import (
     LOW,
     MARGIN,
     NC,
+    OPEN_LOOP,
     ORDER_DONE,
     PATIENCE,
     PICKED,
@@ -241,7 +242,8 @@ def due(
                 return False
     kind = g.edge_kind[motion_now(f, p, g, v, t)]
     need = total_mj[f.cls[v], f.loaded[v], kind] + g.kind_ticks[kind] * standby_mj[f.cls[v]]
-    if need * 1000 > f.charge[v] * voltage(levels, f.charge[v], levels.capacity[v]):
+    spent = need * 1000 > f.charge[v] * voltage(levels, f.charge[v], levels.capacity[v])
+    if spent and clock[OPEN_LOOP] == 0:
         open_interval(f, g, sink, total_mj, v, WAIT, C_EMPTY, NONE, t, FOREVER)
         clock[LATE] = 1
         return False
@@ -321,7 +323,10 @@ def start_steps(
     wait_for: I32,
     t: int,
 ) -> None:
-    """Start every step that is due and free to start; a vehicle that may not, waits and says for whom."""
+    """Start every step that is due and free to start; a vehicle that may not, waits and says for whom.
+
+    In an open loop nobody waits for anybody: what was planned happens, collisions too.
+    """
     n = len(f.state)
     for v in range(n):
         go[v] = 0
@@ -332,9 +337,9 @@ def start_steps(
         wait_for[v] = max(first(c, p.claim[v, k]), first(c, p.sweep0[v, k]), first(c, p.sweep1[v, k]))
         if p.claim[v, k] >= 0 and blocked[g.state_place[g.edge_to[p.edge[v, k]]]]:
             go[v] = HALT
-        elif wait_for[v] >= 0 and clock[HOLD] == 1:
+        elif wait_for[v] >= 0 and clock[HOLD] == 1 and clock[OPEN_LOOP] == 0:
             go[v] = YIELD
-    if clock[HOLD] == 0:
+    if clock[HOLD] == 0 and clock[OPEN_LOOP] == 0:
         # classical rule: following and rotating is allowed, so the largest set that can move together moves
         changed = True
         while changed:
@@ -416,7 +421,7 @@ def draw_energy(
                     part = cost[i] if span == 1 else cost[i] * (past + 1) // span - cost[i] * past // span
                     f.ledger[v, i] += part
                     drawn += part
-        if f.charge[v] > 0:
+        if f.charge[v] > 0 or clock[OPEN_LOOP] == 1:
             f.ledger[v, STANDBY] += standby_mj[f.cls[v]]
             drawn += standby_mj[f.cls[v]]
         volt = voltage(levels, f.charge[v], levels.capacity[v])
@@ -432,7 +437,7 @@ def draw_energy(
         before = f.charge[v]
         work = drawn * 1000 + f.rest[v]
         moved = work // volt
-        if moved >= before > 0:
+        if moved >= before > 0 and clock[OPEN_LOOP] == 0:
             # standby gets what is left of the charge, and no more
             f.ledger[v, STANDBY] -= drawn - (before * volt - f.rest[v]) // 1000
             moved, work = before, before * volt

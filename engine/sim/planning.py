@@ -60,7 +60,8 @@ def plan(
     gap = traffic.lift(c, p, v, here, step, steps)
     plan, cpu_us = ask(sim, v, int(gap), legs)
     status = plan.status
-    if plan.found and within_charge and left_after(sim, v, plan, tick) < floor_mj(sim, v, legs[-1].place, task):
+    careful = within_charge and not sim.open_loop
+    if plan.found and careful and left_after(sim, v, plan, tick) < floor_mj(sim, v, legs[-1].place, task):
         status = PlanStatus.CHARGE
     if not plan.found or status is PlanStatus.CHARGE:
         traffic.put_back(c, p, v, here, step, steps)
@@ -175,6 +176,8 @@ def retime(sim: Simulation) -> None:
     if not clock[LATE]:
         return
     clock[LATE] = 0
+    if sim.open_loop:
+        return
     ready = np.where(f.t1 < FOREVER, f.t1, np.maximum(f.hold, sim.tick)).astype(np.int32)
     ready[f.paused == 1] = np.maximum(ready[f.paused == 1], sim.tick + 1)
     far = traffic.retime(

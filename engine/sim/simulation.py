@@ -37,8 +37,8 @@ from engine.sim.state import (
     HALF,
     HOLD,
     LATE,
-    LINGERING,
     MARGIN,
+    OPEN_LOOP,
     PATIENCE,
     RESTLESS,
     SAMPLE,
@@ -110,7 +110,8 @@ class Simulation:
         self.memory: Memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.levels = self._levels(n)
         self.tick = 0
-        self.clock = np.zeros(LINGERING + 1, np.int64)
+        self.clock = np.zeros(OPEN_LOOP + 1, np.int64)
+        self.clock[OPEN_LOOP] = not parts.planner.promise.legal
         self.linger = np.full(16 * n + 64, NONE, np.int32)
         self.go, self.wait_for = np.zeros(n, np.int8), np.zeros(n, np.int32)
         self.home = np.full(n, NONE, np.int32)
@@ -195,6 +196,11 @@ class Simulation:
             if any(k.turn_deg == 0 and k.length_mm for k in kinds):
                 return s
         return int(g.place_ptr[place])
+
+    @property
+    def open_loop(self) -> bool:
+        """True when the planner promises nothing: its plans are executed as they are."""
+        return bool(self.clock[OPEN_LOOP])
 
     @property
     def log(self) -> Recorder | None:
@@ -363,7 +369,7 @@ class Simulation:
             here = int(self.fleet.here[v])
             if c.owner[here] != v:
                 raise InvariantBroken(f"vehicle {v} does not own the claim of its place")
-        if self.clock[LATE]:
+        if self.clock[LATE] or self.open_loop:
             return  # somebody is late: times are put right before the next plan, the order holds all the time
         for place in range(self.graph.n_places):
             before, slot = place, int(c.next[place])

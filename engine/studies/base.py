@@ -30,6 +30,7 @@ from engine.errors import InvariantBroken, RunError, ScenarioError, WattlaneErro
 STUDIES: dict[str, str] = {
     "xu2025": "engine.studies.xu2025:Xu2025",
     "wang2019": "engine.studies.wang2019:Wang2019",
+    "soochow2022": "engine.studies.soochow2022:Soochow2022",
 }
 
 Cell = dict[str, Any]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.lessons import LESSONS, base, heuristics, lesson, search, tree
+from app.lessons import LESSONS, ants, base, break_it, heuristics, lesson, search, tree
 from engine.errors import BadInput
 from tests import naive_dispatch
 from tests import naive_mapf2 as naive
@@ -356,3 +357,76 @@ def test_the_paper_s_lengths_are_an_example() -> None:
     longer = {told["panel"]: told["longer"] for told in heuristics.answer(oversteps.query)["panels"]}
     assert longer["four.manhattan.fifo"] == 0
     assert longer["eight.manhattan.fifo"] > 0.05 < longer["cut.manhattan.fifo"]
+
+
+# -- ants -------------------------------------------------------------------------------------------------------------
+
+
+def asked_of_ants(**changes: str) -> dict[str, str]:
+    return {**ants.PRESETS[0].query, "map": "9x7r20s3", "goal": "8.6", "iterations": "5", "ants": "4", **changes}
+
+
+def test_colonies_play_what_they_did_and_the_printed_inducement_is_none() -> None:
+    answer = ants.answer(asked_of_ants(panels="literal~off~exponent~classic"))
+    literal, off, exponent, classic = answer["panels"]
+    assert (literal["same"], off["same"]) == (1, 0)
+    assert {name: literal[name] for name in literal if name not in ("kind", "word", "same")} == {
+        name: off[name] for name in off if name not in ("kind", "word", "same")
+    }
+    assert classic["exploited"] == 0 < exponent["exploited"]
+    free = base.read_floor(answer["map"])
+    shortest = naive.steps(free, (0, 0), (8, 6))
+    assert answer["astar"]["steps"] == shortest
+    for panel in answer["panels"]:
+        best = columns(panel["columns"])["best"]
+        level = np.frombuffer(base64.b64decode(panel["tau"]), np.uint8).reshape(5, -1)
+        assert level.shape == (5, free.size)
+        assert not level[:, ~free.ravel()].any()
+        assert best[-1] >= shortest
+        for at, cells in panel["ways"]:
+            assert len(cells) - 1 == best[at - 1]
+            assert (cells[0], cells[-1]) == (0, 62)
+            assert free.ravel()[cells].all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"panels": "literal~exponents"}, "did you mean 'exponent'?"),
+        ({"panels": "~".join(["off"] * 5)}, "at most 4 were expected, got 5"),
+        ({"rho": "2"}, "a number from 0 to 1 was expected, got 2; nearest: 1"),
+        ({"xi": "much"}, "ξ: a number was expected, got 'much'"),
+        ({"beta": "9", "xi": "0.1"}, "must be at most 70"),
+        ({"map": "40x40"}, "at most 1200 cells"),
+        ({"goal": "0.0"}, "it lies at the start"),
+    ],
+)
+def test_ants_name_what_is_wrong(changes: dict[str, str], sentence: str) -> None:
+    with pytest.raises(BadInput, match=re.escape(sentence)):
+        ants.answer(asked_of_ants(**changes))
+
+
+# -- break it ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", break_it.CASES)
+def test_the_thesis_breaks_and_the_corrected_planner_does_not(case: str) -> None:
+    answer = break_it.answer({"case": case})
+    thesis, corrected = answer["sides"]["thesis"], answer["sides"]["corrected"]
+    assert bool(thesis["breaches"]) == (case != "disconnected")
+    assert bool(thesis["no_way"]) == (case == "disconnected")
+    assert (corrected["breaches"], corrected["no_way"], corrected["done"]) == ([], [], True)
+    walls, width = answer["walls"], answer["width"]
+    for side in (thesis, corrected):
+        for way in side["ways"]:
+            assert len(way["cells"]) == len(way["soc"]) == side["ticks"] + 1
+            assert all(walls[cell] == "0" for cell in way["cells"])
+            for a, b in pairwise(way["cells"]):
+                assert max(abs(a % width - b % width), abs(a // width - b // width)) <= 1
+    if answer["goals"]:
+        assert [way["cells"][-1] for way in corrected["ways"]] == answer["goals"]
+
+
+def test_an_unknown_case_is_answered_with_the_nearest() -> None:
+    with pytest.raises(BadInput, match="did you mean 'parked'"):
+        break_it.answer({"case": "parkd"})

@@ -1,4 +1,4 @@
-"""Learn: both lessons edited, stepped, pointed at, and reopened from their address."""
+"""Learn: the lessons edited, stepped, pointed at, and reopened from their address."""
 
 from __future__ import annotations
 
@@ -245,6 +245,7 @@ def test_random_floors_and_searches_are_added_and_removed(dashboard: Any, page: 
     [
         ("/learn/search?map=90x90", "sides of 2 to 60 cells were expected, got 90"),
         ("/learn/search?panels=astar.manhatan.fifo", "did you mean 'manhattan'?"),
+        ("/learn/break-it?case=parkd", "did you mean 'parked'?"),
         ("/learn/tree?vehicles=0.0-3.3", "2 to 5 were expected, got 1"),
     ],
 )
@@ -330,7 +331,9 @@ def test_switches_and_edits_change_the_tree(dashboard: Any, page: Page) -> None:
 
 
 @pytest.mark.parametrize("context", [PHONE], indirect=True)
-@pytest.mark.parametrize("path", ["/learn", "/learn/search?step=60", "/learn/tree?step=5"])
+@pytest.mark.parametrize(
+    "path", ["/learn", "/learn/search?step=60", "/learn/tree?step=5", "/learn/ants?step=9", "/learn/break-it?step=4"]
+)
 def test_on_a_phone_nothing_sticks_out(dashboard: Any, page: Page, path: str) -> None:
     if "?" in path:
         open_lesson(page, dashboard.url + path)
@@ -376,3 +379,50 @@ def test_words_stand_out_from_what_is_behind_them(dashboard: Any, page: Page) ->
     for ink, ground in pairs:
         light, dark = sorted((luminance(ink), luminance(ground)), reverse=True)
         assert (light + 0.05) / (dark + 0.05) >= 4.5, (ink, ground)
+
+
+def test_the_printed_inducement_is_switched_on_and_off_without_effect(dashboard: Any, page: Page) -> None:
+    open_lesson(page, f"{dashboard.url}/learn/ants?map=12x9r25s2&start=0.0&goal=11.8&panels=literal~off&ants=6&step=3")
+    same = page.locator(".wl-lesson-same")
+    expect(same).to_contain_text("Colonies 1 and 2 are identical")
+    expect(page.locator(".wl-lesson-curve")).to_have_attribute("aria-label", re.compile(r"A\* needs \d+ steps"))
+    before = answers(page)
+    page.get_by_role("button", name="Printed inducement").click()
+    after(page, before)
+    expect(page.get_by_label("Colony 1", exact=True)).to_have_value("off")
+    expect(same).to_contain_text("identical")
+    before = answers(page)
+    page.get_by_label("Colony 1", exact=True).select_option("exponent")
+    after(page, before)
+    expect(same).to_be_empty()
+    before = answers(page)
+    page.get_by_label("Iterations", exact=True).fill("7")
+    page.get_by_label("Iterations", exact=True).blur()
+    after(page, before)
+    page.keyboard.press("End")
+    expect(page).to_have_url(re.compile(r"panels=exponent~off.*iterations=7.*step=7"))
+    expect(page.locator(".wl-lesson-counts").first).to_contain_text("best")
+
+
+def test_every_case_breaks_the_table_and_not_the_corrected_planner(dashboard: Any, page: Page) -> None:
+    open_lesson(page, f"{dashboard.url}/learn/break-it")
+    verdicts = page.locator(".wl-lesson-verdict")
+    for button, word in (
+        ("Parked vehicle", "1 breach"),
+        ("Disconnected", "no way"),
+        ("Crossing diagonals", "1 breach"),
+    ):
+        before = answers(page)
+        page.get_by_role("button", name=button).click()
+        after(page, before)
+        expect(verdicts.nth(0)).to_contain_text(word)
+        expect(verdicts.nth(1)).to_contain_text("0 breaches")
+    for _ in range(2):
+        page.keyboard.press("ArrowRight")
+    expect(page).to_have_url(re.compile(r"break-it\?case=crossing&step=2$"))
+    address = page.url
+    page.goto("about:blank")
+    open_lesson(page, address)
+    expect(page.get_by_label("Step number")).to_have_value("2")
+    expect(page.get_by_role("button", name="Crossing diagonals")).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#lesson-now")).to_contain_text("cut each other's corner")
