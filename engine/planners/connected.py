@@ -131,8 +131,8 @@ def search(
     best, out = np.zeros(n + 1, np.int32), np.zeros(4, np.int64)
     rows = single.new_trace(REOPENED * n if trace else 0)
     status = single.astar_any(
-        ground.step, ground.xy, ground.length, best, start, goal, HEURISTICS[heuristic], np.zeros(0, np.int64),
-        TIES[tie], 0, limit, rows, out,
+        ground.step, ground.step, ground.xy, ground.length, best, start, goal, HEURISTICS[heuristic],
+        np.zeros(0, np.int64), TIES[tie], 0, limit, rows, out,
     )  # fmt: skip
     kept = columns(rows, int(out[2]))
     if status != single.SOLVED:
