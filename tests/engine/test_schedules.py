@@ -111,6 +111,7 @@ def test_by_rule_takes_the_nearest_order_and_the_nearest_exit() -> None:
     assert found.ends == tuple(clock)
 
 
+@pytest.mark.nojit_slice
 @pytest.mark.parametrize("seed", range(6))
 def test_insertion_is_what_its_twin_inserts(seed: int) -> None:
     vehicles, orders = 3, 14
