@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from engine.planners.kernels import cbs_high as high
 from engine.planners.kernels import cbs_low as low
+from engine.planners.kernels import cbs_pair as pair
 from engine.planners.kernels.tables import FAR
 from engine.planners.oneshot import Limits, Problem, Solution
 from engine.types import Component, PlanStatus
@@ -24,14 +25,14 @@ I64 = NDArray[np.int64]
 MILLION = 1_000_000
 CHUNK_NODES, CHUNK_WORK = 200, 400_000
 """Nodes and steps of work between two looks at the limits: below 0.1 s."""
-PAIR_NODES, PAIR_EXPANSIONS = 200, 500_000
-"""For the optimum of one pair; what is proven by then is its bound."""
+PAIRS, PAIR_EXPANSIONS = 1 << 17, 20_000
+"""Room and work for the optimum of two vehicles; what is proven by then is their bound."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
     """What the tree may do. cover: 0 none, 1 CG, 2 DG, 3 WDG · pairs: bounds from the optima of pairs · tries:
-    prioritized orders for the incumbent.
+    prioritized orders for the incumbent · repairs: times per vehicle that a part of it is planned anew.
     """
 
     disjoint: bool = True
@@ -42,6 +43,7 @@ class Settings:
     target: bool = True
     branch: bool = False
     tries: int = 4
+    repairs: int = 0
     w: float = 1.0
     weights: tuple[float, float, float] = (0.3, 0.3, 0.3)
 
@@ -272,10 +274,11 @@ def _shuffles(n: int, tries: int) -> I32:
     return np.array([rng.permutation(n) for _ in range(tries)], np.int32).reshape(tries, n)
 
 
-def orders_of(h0: I64, tries: int) -> I32:
-    """Orders for the incumbent: longest way first, shortest first, then seeded shuffles."""
-    first = np.argsort(h0, kind="stable").astype(np.int32)
-    return np.concatenate([first[None, ::-1], first[None], _shuffles(len(h0), max(tries - 2, 0))])[:tries]
+def orders_of(h0: I64, tries: int, repairs: int) -> I32:
+    """Orders for the incumbent: longest way first, shortest first, then seeded shuffles; none without tries."""
+    first, more = np.argsort(h0, kind="stable").astype(np.int32), repairs * len(h0) if tries else 0
+    shuffles = _shuffles(len(h0), max(tries - 2, 0) + more)
+    return np.concatenate([np.stack([first[::-1], first])[:tries], shuffles])
 
 
 def solve_tree(
@@ -308,14 +311,14 @@ def solve_tree(
     if (h0 >= FAR).any():
         k = int(np.argmax(h0 >= FAR))
         return Solution(PlanStatus.NO_PATH, (), 0, 0, 0, 0, f"vehicle {k} has no way to its goal"), on_places, []
+    orders = orders_of(h0, settings.tries, settings.repairs if n > 2 else 0)
     case = high.Case(
-        starts, goals, cls, room.h, _mass(problem), np.array(settings.weights), orders_of(h0, settings.tries),
-        np.zeros((n, n), np.int64),
+        starts, goals, cls, room.h, _mass(problem), np.array(settings.weights), orders, np.zeros((n, n), np.int64)
     )  # fmt: skip
     options = settings.options()
     _begin(room)
     if settings.pairs and n > 2 and _go(room, case, options, replace(limits, nodes=0)) == high.MORE:
-        _pair_costs(room, _room((graph if energy else roads), roads, 2), case, options, limits)
+        _pair_costs(room, case, limits)
     ended = _go(room, case, options, limits, later)
     return _answer(room, graph, settings, ended, energy, trace), on_places, _ways(room)
 
@@ -354,23 +357,23 @@ def _go(
             return ended
 
 
-def _pair_costs(room: _Room, two: _Room, case: high.Case, options: I64, limits: Limits) -> None:
+@cache
+def _pair_work(steps: int) -> pair.PairWork:
+    return pair.new_pair_work(PAIRS, steps)
+
+
+def _pair_costs(room: _Room, case: high.Case, limits: Limits) -> None:
     """Fill case.pair for the pairs in conflict at the root: what they cost at least, alone with each other."""
-    desk, options = room.desk, options.copy()
-    options[high.PAIRED], options[high.COVER], options[high.W_MILLION] = 0, 0, MILLION
-    found = int(desk.found[0])
+    desk, roads = room.desk, room.roads
+    work = _pair_work(int(np.diff(roads.ptr).max(initial=0)) * 2 + 4)
+    out, found = np.zeros(2, np.int64), int(desk.found[0])
     for i, j in sorted(set(zip(desk.a[:found].tolist(), desk.b[:found].tolist(), strict=True))):
         if limits.stop():
             return
-        both = np.array([i, j])
-        alone = high.Case(
-            case.start[both], case.goal[both], case.cls[both], case.h[both], case.mass[both], case.weights,
-            np.array([[0, 1], [1, 0]], np.int32), np.zeros((2, 2), np.int64),
-        )  # fmt: skip
-        _begin(two)
-        _go(two, alone, options, replace(limits, nodes=PAIR_NODES, expansions=PAIR_EXPANSIONS))
-        case.pair[i, j] = case.pair[j, i] = two.tree.num[high.BOUND]
-        room.tree.num[high.LOW] += two.tree.num[high.LOW]
+        ended = pair.pair_cost(roads, work, case.h, case.cls, case.start, case.goal, i, j, PAIR_EXPANSIONS, out)
+        if ended != low.NONE:
+            case.pair[i, j] = case.pair[j, i] = out[0]
+        room.tree.num[high.LOW] += out[1]
 
 
 def _ways(room: _Room) -> list[I32]:

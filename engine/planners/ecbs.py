@@ -20,7 +20,7 @@ from engine.types import PlanStatus
 class ECBS:
     """w: proven factor of suboptimality · weights: w1, w2, w3 of eq. 14 (mass, way left, conflicts) · disjoint,
     cardinal, bypass, target, pairs (bounds from the optima of pairs): each changes the work, never the cost · tries:
-    orders of prioritized planning for a first plan.
+    orders of prioritized planning for a first plan · repairs: times per vehicle that a part of it is planned anew.
     """
 
     w: float = 1.0
@@ -32,6 +32,7 @@ class ECBS:
     target: bool = True
     pairs: bool = True
     tries: int = 12
+    repairs: int = 10
 
     promise = at_once(
         "the least energy of all vehicles together, all at once", optimal="for the fleet, in energy", complete=True,
@@ -43,7 +44,7 @@ class ECBS:
         settings = Settings(
             disjoint=self.disjoint and not self.priority_branch, cardinal=self.cardinal, bypass=self.bypass,
             target=self.target, pairs=self.pairs and not self.priority_branch, branch=self.priority_branch,
-            tries=0 if self.priority_branch else self.tries,
+            tries=0 if self.priority_branch else self.tries, repairs=self.repairs,
             w=self.w, weights=self.weights,
         )  # fmt: skip
         # a search that doesn't finish is never worse than time windows, which are laid early, before time is up

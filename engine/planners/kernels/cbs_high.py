@@ -2,9 +2,10 @@
 
 Source: CBS (Sharon et al. 2015); cardinal conflicts and bypass (Boyarski et al. 2015); disjoint splitting (Li et al.
 2019); dependency heuristics CG, DG, WDG (Felner et al. 2018, Li et al. 2019); target reasoning (Li et al. 2020); focal
-list (Barer et al. 2014); dynamic priority of vehicles (xu2025, eq. 14). Promise: with w = 1 the plan is optimal for the
-sum of costs; with w > 1 its cost is at most w times the proven lower bound. The one exception is `priority-branch`,
-which is incomplete. Unsolvable instances don't end: the caller limits the work.
+list (Barer et al. 2014); repair of parts of a plan (Li et al. 2021); dynamic priority of vehicles (xu2025, eq. 14).
+Promise: with w = 1 the plan is optimal for the sum of costs; with w > 1 its cost is at most w times the proven lower
+bound. The one exception is `priority-branch`, which is incomplete. Unsolvable instances don't end: the caller limits
+the work.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ DONE, MORE, GROW, EMPTY = 0, 1, 2, 3
 
 DISJOINT, CARDINAL, BYPASS, COVER, TARGET, BRANCH, W_MILLION, TRIES, PAIRED = range(9)
 """Slots of the options: switches (PAIRED: bounds by pairs); COVER 0 none, 1 CG, 2 DG, 3 WDG; w in millionths;
-prioritized orders to try."""
+orders to plan anew in: later ones replan a part of the best plan."""
 
 (
     NODES, RECS, ARENA, BEST, BEST_COST, HEAP, FOCAL, WAITING, HIGH, LOW, BOUND, STAGE, LONGEST, PAIRS, PAIR_STAMP,
@@ -86,6 +87,8 @@ OPEN_LIST, FOCAL_LIST, WAIT_LIST = range(3)
 NEVER = np.int64(2**62)
 MANY = np.int64(2**60)
 """No limit within one search: it is finite."""
+REPLANNED = 5
+"""Of the best plan 2 to 1 + REPLANNED vehicles are planned anew at a time."""
 MATCHED = 10
 """Vehicles that an exact matching takes in; among more it is greedy."""
 
@@ -864,34 +867,42 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
 
 
 @njit(cache=True, nogil=True)
-def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32) -> int:
+def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32, kept: int) -> int:
     """Vehicles one after another in an order, earlier ones being obstacles; a better plan becomes the incumbent.
 
-    SPENT when the work is spent before the last one; the next call goes on. FULL: the order begins again.
+    The first `kept` of the order keep their ways of the incumbent. SPENT when the work is spent before the last one;
+    the next call goes on. FULL: the order begins again.
     """
     if t.num[PLACED] == 0:
         t.num[PLACED_RECS], t.num[PLACED_ARENA], t.num[PLACED_COST] = t.num[RECS], t.num[ARENA], 0
+        for i in range(kept if t.num[BEST] else 0):
+            d.stack[order[i]] = t.best[order[i]]
+            t.num[PLACED_COST] += t.way[t.best[order[i]], PRICE]
+            t.num[PLACED] += 1
     clear_others(w.others)
     clear_constraints(w.bans)
     finish_constraints(w.bans)
     for i in range(t.num[PLACED]):
         rec = np.int64(d.stack[order[i]])
         add_other(r.place, w.others, t.states, t.way[rec, FIRST], t.way[rec, LENGTH])
-    ended = FOUND
+    ended = np.int64(FOUND)
     while ended == FOUND and t.num[PLACED] < len(order):
         if t.num[WORK] >= t.num[TILL]:
             return SPENT
         k = np.int64(order[t.num[PLACED]])
+        most = t.num[BEST_COST] - 1 - t.num[PLACED_COST]
+        for i in range(t.num[PLACED] + 1, len(order)):
+            most -= t.way[t.rec[0, order[i]], LEAST]
         d.out[2] = 0
         ended = np.int64(search(
             r, w, c.h[k], np.int64(c.cls[k]), np.int64(c.start[k]), np.int64(c.goal[k]), np.int64(HARD),
-            t.num[BEST_COST] - 1 - t.num[PLACED_COST], np.int64(1_000_000), d.out,
+            most, np.int64(1_000_000), d.out,
         ))  # fmt: skip
         _count(t, d)
         if ended == FOUND:
             rec = np.int64(_keep_way(t, w.path, k, np.int64(0), d.out, d.out[0]))
             if rec < 0 or not add_other(r.place, w.others, t.states, t.way[rec, FIRST], t.way[rec, LENGTH]):
-                ended = FULL
+                ended = np.int64(FULL)
             else:
                 d.stack[k] = rec
                 t.num[PLACED] += 1
@@ -899,8 +910,7 @@ def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32) -> int
     t.num[PLACED] = 0
     if ended == FOUND and t.num[PLACED_COST] < t.num[BEST_COST]:
         t.num[BEST], t.num[BEST_COST], t.num[BEST_NODE] = 1, t.num[PLACED_COST], -1
-        for k in range(len(order)):
-            t.best[k] = d.stack[k]
+        t.best[:] = d.stack[: len(order)]
     else:
         t.num[RECS], t.num[ARENA] = t.num[PLACED_RECS], t.num[PLACED_ARENA]
     return FULL if ended == FULL else FOUND
@@ -982,7 +992,7 @@ def run(
     till_high, till_low = t.num[HIGH] + nodes, t.num[LOW] + expansions
     t.num[TILL] = t.num[WORK] + work
     if t.num[STAGE] == 0:
-        ended = _root(r, w, c, t, d, opt)
+        ended = np.int64(_root(r, w, c, t, d, opt))
         if ended != FOUND:
             return GROW if ended == FULL else EMPTY
         t.num[STAGE] = 1
@@ -994,12 +1004,13 @@ def run(
             t.num[BOUND] += t.worth[0, H]
         _push_open(t, np.int64(0), opt)
         t.num[STAGE] = 2
-    while t.num[TRIED] < min(opt[TRIES], len(c.orders)):
+    while t.num[TRIED] < len(c.orders):
         if t.num[BEST] == 1 and t.num[BEST_COST] * 1_000_000 <= t.num[BOUND] * opt[W_MILLION]:
             break
         if t.num[LOW] >= till_low:
             return MORE
-        ended = np.int64(_prioritize(r, w, c, t, d, c.orders[t.num[TRIED]]))
+        kept = 0 if t.num[TRIED] < opt[TRIES] else max(len(c.start) - 2 - t.num[TRIED] % REPLANNED, 0)
+        ended = np.int64(_prioritize(r, w, c, t, d, c.orders[t.num[TRIED]], np.int64(kept)))
         if ended != FOUND:
             return GROW if ended == FULL else MORE
         t.num[TRIED] += 1
