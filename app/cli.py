@@ -7,6 +7,7 @@ Imports of weight stand inside the commands: `--help` answers at once.
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import os
 import sys
@@ -229,6 +230,7 @@ def _finish(going: Run, end_tick: int | None, as_json: bool) -> None:
     from app.progress import drive
     from app.settings import kernels_compiled
 
+    gc.freeze()  # modules and kernels stay: nothing to look through again and again
     status = drive(going, end_tick)
     if status == "stopped":
         say(f"Stopped at tick {going.sim.tick}; `wattlane resume {going.folder.name}` goes on.")

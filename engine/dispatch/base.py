@@ -80,7 +80,7 @@ class FloorView:
     @property
     def chargers(self) -> int:
         """How many chargers work."""
-        return int(np.count_nonzero(self.is_charger))
+        return self.is_charger.tobytes().count(1)
 
     def to_charger_mj(self, place: int) -> int:
         """Energy of the way from a place to the nearest charger as the crow flies; 0 on a floor without."""

@@ -104,19 +104,22 @@ def departure(
         return FOREVER
     if g.sweep_ptr[e] == g.sweep_ptr[e + 1]:
         return begin
-    return swept_departure(c, g, margin, e, begin, latest)
+    corners = g.sweep[g.sweep_ptr[e] : g.sweep_ptr[e + 1]]
+    span = g.kind_ticks[g.edge_kind[e]] + margin
+    return swept_departure(c.start, c.end, c.next, g.blocked, corners, span, begin, latest)
 
 
 @lean
-def swept_departure(c: Claims, g: Ground, margin: int, e: int, begin: int, latest: int) -> int:
-    """Earliest tick from `begin` to `latest` at which all corners that a motion sweeps are free for it, or FOREVER."""
-    span = g.kind_ticks[g.edge_kind[e]] + margin
+def swept_departure(
+    start: I32, end: I32, after: I32, blocked: NDArray[np.uint8], corners: I32, span: int, begin: int, latest: int
+) -> int:
+    """Earliest tick from `begin` to `latest` from which all corners are free for `span` ticks, or FOREVER."""
     while begin <= latest:
         later = begin
-        for q in range(g.sweep_ptr[e], g.sweep_ptr[e + 1]):
-            if g.blocked[g.sweep[q]]:
+        for corner in corners:
+            if blocked[corner]:
                 return FOREVER
-            later = free_from(c, g.sweep[q], later, span)
+            later = free_from(start, end, after, corner, later, span)
         if later == begin:
             return begin
         begin = later
