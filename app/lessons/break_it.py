@@ -183,8 +183,9 @@ def text() -> list[Any]:
         ),
         html.H3("What you see"),
         html.P(
-            "Left, exactly that, executed as planned, so that what goes wrong happens. Right, the corrected planner "
-            "with the same tasks on the same floor. An independent judge, which knows neither, reads both records."
+            "First, exactly that, executed as planned, so that what goes wrong happens. Beside it or below, the "
+            "corrected planner with the same tasks on the same floor. An independent judge, which knows neither, reads "
+            "both records."
         ),
         html.H3("Run it yourself"),
         html.P("Each case is a scenario: open it on the Scenarios page, or run it by the name above the maps."),

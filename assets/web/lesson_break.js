@@ -19,7 +19,7 @@
         this.group("What breaks", el("div", { class: "wl-row" }, ...this.examples)),
         this.group("Link", el("div", { class: "wl-row" }, this.linkButton()), (this.open = el("p", { class: "wl-hint" }))),
         this.group("Marks", el("div", { class: "wl-lesson-marks" },
-          el("div", { class: "wl-lesson-mark" }, el("span", { class: "wl-lesson-swatch vehicle" }, "0"), "vehicle, in its goal's colour"),
+          el("div", { class: "wl-lesson-mark" }, el("span", { class: "wl-lesson-swatch vehicle" }, "0"), "vehicle; the square of its colour is its goal"),
           el("div", { class: "wl-lesson-mark" }, el("span", { class: "wl-lesson-swatch broken" }), "here a rule is broken"),
           el("p", { class: "wl-hint" }, "Four steps of the playback are one tick."))));
     }
@@ -55,8 +55,8 @@
 
     /** How a side ended: the judge's word, and its sentence. */
     verdict(told) {
-      const n = told.breaches.length;
-      if (n) return ["bad", `${n} breach${n > 1 ? "es" : ""}`, `${told.breaches[0].text}${n > 1 ? `, and ${n - 1} more` : ""}.`];
+      const n = told.breaches.length, capital = (text) => text[0].toUpperCase() + text.slice(1);
+      if (n) return ["bad", `${n} breach${n > 1 ? "es" : ""}`, `${capital(told.breaches[0].text)}${n > 1 ? `, and ${n - 1} more` : ""}.`];
       if (told.no_way.length) return ["bad", "no way", `No rule is broken, but ${told.no_way[0]}.`];
       return ["ok", "0 breaches", `The judge finds nothing; everybody is done after ${told.ticks} s.`];
     }
@@ -109,7 +109,7 @@
       spots.forEach(([x0, y0], k) => {
         // those in one spot are drawn side by side, or a collision would show one vehicle
         const same = spots.flatMap(([x, y], j) => (Math.hypot(x - x0, y - y0) < g.size * 0.2 ? [j] : [])), many = same.length > 1;
-        const r = g.size * (many ? 0.2 : 0.29), x = x0 + (many ? (same.indexOf(k) - (same.length - 1) / 2) * 2.1 * r : 0);
+        const r = Math.max(5, g.size * (many ? 0.2 : 0.29)), x = x0 + (many ? (same.indexOf(k) - (same.length - 1) / 2) * 2.1 * r : 0);
         ctx.fillStyle = colour(k);
         ctx.beginPath(); ctx.roundRect(x - r, y0 - r, 2 * r, 2 * r, r * 0.4); ctx.fill();
         ctx.fillStyle = colours["mark-text"];
@@ -117,12 +117,29 @@
         ctx.textAlign = "center"; ctx.textBaseline = "middle";
         ctx.fillText(String(k), x, y0 + 1);
       });
+      if (this.data.battery) this.charge(told, ctx, g, colours);
       ctx.strokeStyle = colours.conflict;
       for (const breach of now) {
         ctx.lineWidth = Math.max(2, Math.min(4, g.size * 0.08));
         const at = breach.vehicles.map((v) => spots[v]), x = at.reduce((sum, p) => sum + p[0], 0) / at.length, y = at.reduce((sum, p) => sum + p[1], 0) / at.length, r = g.size * 0.62;
         ctx.beginPath(); ctx.arc(x, y, r, 0, 2 * Math.PI); ctx.stroke();
       }
+    }
+
+    /** The charge of vehicle 0 as a bar above the floor; below zero in the colour of a conflict. */
+    charge(told, ctx, g, colours) {
+      const { soc } = told.ways[0], share = soc[Math.min(Math.floor(this.time), soc.length - 1)];
+      const wide = Math.min(240, g.size * g.width), high = 16, x = g.x0 + (g.size * g.width - wide) / 2, y = g.y0 - 54, zero = x + wide * 0.3;
+      ctx.strokeStyle = colours.text;
+      ctx.lineWidth = 1;
+      ctx.strokeRect(x, y, wide, high);
+      ctx.fillStyle = share < 0 ? colours.conflict : colours["open-edge"];
+      ctx.fillRect(Math.min(zero, zero + wide * 0.7 * share), y, Math.abs(wide * 0.7 * share), high);
+      ctx.beginPath(); ctx.moveTo(zero, y - 4); ctx.lineTo(zero, y + high + 4); ctx.stroke();
+      ctx.fillStyle = share < 0 ? colours.conflict : colours.text;
+      ctx.font = "700 14px system-ui, sans-serif";
+      ctx.textAlign = "center"; ctx.textBaseline = "bottom";
+      ctx.fillText(`charge ${Math.round(100 * share)} %`.replace("-", "−"), x + wide / 2, y - 6);
     }
 
     lines(each, cell) {
