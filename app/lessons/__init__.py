@@ -11,6 +11,8 @@ LESSONS: dict[str, str] = {
     "search": "app.lessons.search:LESSON",
     "heuristics": "app.lessons.heuristics:LESSON",
     "tree": "app.lessons.tree:LESSON",
+    "learned-time": "app.lessons.learned_time:LESSON",
+    "motor": "app.lessons.motor:LESSON",
     "ants": "app.lessons.ants:LESSON",
     "break-it": "app.lessons.break_it:LESSON",
 }
