@@ -117,7 +117,7 @@ class Soochow2022:
 
     @property
     def maps(self) -> tuple[int, int]:
-        return 12, 1000
+        return 6, 1000
 
     def cells(self, settings: Settings) -> list[Cell]:
         """Every map and task set as plain values."""

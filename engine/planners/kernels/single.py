@@ -453,17 +453,16 @@ class Closed(NamedTuple):
 
 
 class StateWork(NamedTuple):
-    """Reusable room of energy searches. best: (S,) g over `base` · came: (S,) edge (-1 start, -2 - s: stood in s).
+    """Reusable room of energy searches. best: (S,) (g over `base`) << 1 | closed · came: (S,) edge (-1 start, -2 - s:
+    stood in s).
 
-    Entries of the open list are chained by equal f; `slot` finds the chain of an f by hashing.
+    item: (N,) state << 32 | 1 + next entry of equal f; `slot` finds the chain of an f by hashing.
     """
 
     best: I64
     base: I64  # (1,)
     came: I32
-    item: I32
-    item_g: I64
-    next: I32
+    item: I64
     slot: I32
     key: I64
     head: I32
@@ -479,9 +478,8 @@ def new_state_work(states: int, entries: int, keys: int = 1 << 12) -> StateWork:
         return np.full(n, -1, np.int32)
 
     return StateWork(
-        np.full(states, FAR, np.int64), np.full(1, FAR, np.int64), i32(states), i32(entries),
-        np.zeros(entries, np.int64), i32(entries), i32(keys), np.zeros(keys, np.int64), i32(keys), i32(keys),
-        np.zeros(2 * keys, np.int64), i32(2 * keys),
+        np.full(states, FAR, np.int64), np.full(1, FAR >> 1, np.int64), i32(states), np.zeros(entries, np.int64),
+        i32(keys), np.zeros(keys, np.int64), i32(keys), i32(keys), np.zeros(2 * keys, np.int64), i32(2 * keys),
     )  # fmt: skip
 
 
@@ -557,10 +555,10 @@ def eea(
     w.base[0] -= SPAN
     if w.base[0] < SPAN:
         w.best[:] = FAR
-        w.base[0] = FAR - SPAN
+        w.base[0] = (FAR >> 1) - SPAN
     base = w.base[0]
     w.slot[:] = -1
-    best, came, item, item_g, following = w.best, w.came, w.item, w.item_g, w.next
+    best, came, item = w.best, w.came, w.item
     use_table = len(table) > 0
     tracing = len(trace.node) > 0
     shift = net.shift
@@ -570,15 +568,15 @@ def eea(
     for i in range(len(starts)):
         s = starts[i]
         h = table[s] if use_table else closed_form(closed, net.xy[s >> shift], s >> 1, s & 1, gx, gy)
-        if h >= FAR or best[s] <= base:
+        if h >= FAR or best[s] <= base << 1:
             continue
-        best[s], came[s] = base, -1
+        best[s], came[s] = base << 1, -1
         b, used, size = _bucket(w, h, used, size)
-        item[n], item_g[n], following[n] = s, base, -1
+        item[n] = np.int64(s) << 32
         if w.head[b] == -1:
             w.head[b] = n
         else:
-            following[w.tail[b]] = n
+            item[w.tail[b]] |= n + 1
         w.tail[b] = n
         n += 1
         waiting += 1
@@ -591,12 +589,14 @@ def eea(
         if size == 0:
             break
         f, b = w.heap_f[0], w.heap_b[0]
-        entry = w.head[b]
-        s, gs = item[entry], item_g[entry]
-        w.head[b] = following[entry]
+        entry = item[w.head[b]]
+        s = entry >> 32
+        w.head[b] = (entry & 0xFFFFFFFF) - 1
         waiting -= 1
-        if gs != best[s]:
+        if best[s] & 1:
             continue
+        best[s] |= 1
+        gs = best[s] >> 1
         if s >> shift == goal:
             out[0], out[1] = s, gs - base
             status = SOLVED
@@ -631,9 +631,9 @@ def eea(
                 by = -2 - s
             if rewalk:
                 g2 += walked(net, came, cost, standby, s) + base - gs
-            if g2 >= best[v] or blocked[v >> shift]:
+            if (g2 << 1 | 1) >= best[v] or blocked[v >> shift]:
                 continue
-            best[v] = g2
+            best[v] = g2 << 1
             came[v] = by
             if use_table:
                 h = table[v]
@@ -646,14 +646,14 @@ def eea(
                 b2 = b
             else:
                 b2, used, size = _bucket(w, f2, used, size)
-            item[n], item_g[n], following[n] = v, g2, -1
+            item[n] = np.int64(v) << 32
             if w.head[b2] == -1:
                 w.head[b2] = w.tail[b2] = n
             elif lifo:
-                following[n] = w.head[b2]
+                item[n] |= w.head[b2] + 1
                 w.head[b2] = n
             else:
-                following[w.tail[b2]] = n
+                item[w.tail[b2]] |= n + 1
                 w.tail[b2] = n
             n += 1
             waiting += 1
