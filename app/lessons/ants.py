@@ -14,12 +14,10 @@ from app.lessons.base import (
     Mask,
     Preset,
     Query,
-    check_cell,
     drawn,
     floor_answer,
     packed,
-    read_cell,
-    read_floor,
+    read_question,
     read_whole,
 )
 from engine.errors import BadInput, unknown_name
@@ -79,12 +77,7 @@ def read_number(text: str, letter: str, low: float, high: float, default: float)
 
 def read(query: Query) -> Asked:
     """The state of an address. Raises BadInput."""
-    start, goal = read_cell(query["start"], "start"), read_cell(query["goal"], "goal")
-    free = read_floor(query["map"], (start, goal))
-    check_cell(start, "start", free)
-    check_cell(goal, "goal", free)
-    if start == goal:
-        raise BadInput(f"goal: it lies at the start, {goal[0]}.{goal[1]}")
+    free, start, goal = read_question(query)
     if free.size > LARGEST:
         raise BadInput(f"map: at most {LARGEST} cells were expected here, got {free.size}")
     kinds = tuple(query["panels"].split("~"))

@@ -146,6 +146,17 @@ def check_cell(cell: Cell, what: str, free: Mask) -> None:
         raise BadInput(f"{what}: {x}.{y} is an obstacle")
 
 
+def read_question(query: Query) -> tuple[Mask, Cell, Cell]:
+    """Floor, start and goal of an address, the ends free and apart. Raises BadInput."""
+    start, goal = read_cell(query["start"], "start"), read_cell(query["goal"], "goal")
+    free = read_floor(query["map"], (start, goal))
+    check_cell(start, "start", free)
+    check_cell(goal, "goal", free)
+    if start == goal:
+        raise BadInput(f"goal: it lies at the start, {goal[0]}.{goal[1]}")
+    return free, start, goal
+
+
 def read_whole(text: str, what: str, low: int, high: int, default: int) -> int:
     """A whole number within limits; the default for an empty text. Raises BadInput."""
     if text == "":

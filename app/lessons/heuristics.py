@@ -15,11 +15,9 @@ from app.lessons.base import (
     Mask,
     Preset,
     Query,
-    check_cell,
     floor_answer,
     packed,
-    read_cell,
-    read_floor,
+    read_question,
     read_whole,
 )
 from engine.errors import BadInput, unknown_name
@@ -75,12 +73,7 @@ def read_panel(text: str) -> Panel:
 
 def read(query: Query) -> Asked:
     """The state of an address. Raises BadInput."""
-    start, goal = read_cell(query["start"], "start"), read_cell(query["goal"], "goal")
-    free = read_floor(query["map"], (start, goal))
-    check_cell(start, "start", free)
-    check_cell(goal, "goal", free)
-    if start == goal:
-        raise BadInput(f"goal: it lies at the start, {goal[0]}.{goal[1]}")
+    free, start, goal = read_question(query)
     panels = tuple(read_panel(text) for text in query["panels"].split("~"))
     if len(panels) > PANELS:
         raise BadInput(f"panels: at most {PANELS} were expected, got {len(panels)}")

@@ -278,6 +278,52 @@
   }
   wl.Lesson = Lesson;
 
+  /** A lesson on a floor that people draw, with one start and one goal. It has `tool`, `floor` and views(). */
+  class DrawnLesson extends Lesson {
+    /** What pressing on a cell begins: moving the start or goal, or drawing. */
+    press(cell) {
+      const floor = this.floor;
+      for (const which of ["start", "goal"]) {
+        if (cell === this.cell(which)) return (to) => this.moveEnd(which, to);
+      }
+      if (this.tool !== "draw") return null;
+      const value = floor.walls[cell] ? 0 : 1;
+      const set = (at) => this.setWall(at, value);
+      set(cell);
+      return set;
+    }
+
+    cell(which) { const [x, y] = this.state[which].split(".").map(Number); return x + y * this.floor.width; }
+
+    setWall(cell, value) {
+      if (this.floor.walls[cell] === value || cell === this.cell("start") || cell === this.cell("goal")) return;
+      this.floor.walls[cell] = value;
+      this.edited();
+    }
+
+    moveEnd(which, cell) {
+      const other = this.cell(which === "start" ? "goal" : "start");
+      if (this.floor.walls[cell] || cell === other || cell === this.cell(which)) return;
+      this.state[which] = `${cell % this.floor.width}.${Math.floor(cell / this.floor.width)}`;
+      this.edited();
+    }
+
+    edited() {
+      this.state.map = wl.floorText(this.floor);
+      for (const view of this.views()) view.draw();
+      this.ask();
+    }
+
+    key(cell, key) {
+      if (key === "Enter") this.setWall(cell, this.floor.walls[cell] ? 0 : 1);
+      else if (key === "s" || key === "S") this.moveEnd("start", cell);
+      else if (key === "g" || key === "G") this.moveEnd("goal", cell);
+      else return false;
+      return true;
+    }
+  }
+  wl.DrawnLesson = DrawnLesson;
+
   // ---- a floor to draw on
 
   /** A canvas with one floor. `on`: paint(ctx, geometry), hover(cell or null), press(cell) → drag(cell) or null, key(cell, key). */

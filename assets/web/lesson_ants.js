@@ -13,7 +13,7 @@
   };
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 
-  class AntsLesson extends wl.Lesson {
+  class AntsLesson extends wl.DrawnLesson {
     build() {
       this.panels = [];
       this.grid = el("div", { class: "wl-lesson-grid" });
@@ -68,34 +68,6 @@
 
     // ---- editing the floor
 
-    cell(which) { const [x, y] = this.state[which].split(".").map(Number); return x + y * this.floor.width; }
-
-    press(cell) {
-      for (const which of ["start", "goal"]) if (cell === this.cell(which)) return (to) => this.moveEnd(which, to);
-      if (this.tool !== "draw") return null;
-      const value = this.floor.walls[cell] ? 0 : 1, set = (at) => this.setWall(at, value);
-      set(cell);
-      return set;
-    }
-
-    setWall(cell, value) {
-      if (this.floor.walls[cell] === value || cell === this.cell("start") || cell === this.cell("goal")) return;
-      this.floor.walls[cell] = value;
-      this.edited();
-    }
-
-    moveEnd(which, cell) {
-      if (this.floor.walls[cell] || cell === this.cell("start") || cell === this.cell("goal")) return;
-      this.state[which] = `${cell % this.floor.width}.${Math.floor(cell / this.floor.width)}`;
-      this.edited();
-    }
-
-    edited() {
-      this.state.map = wl.floorText(this.floor);
-      for (const view of this.views()) view.draw();
-      this.ask();
-    }
-
     size() {
       for (const field of Object.values(this.fields)) field.value = String(Math.max(Number(field.min), Math.min(Number(field.max), Math.round(Number(field.value) || 0))));
       const [width, height] = [Number(this.fields.width.value), Number(this.fields.height.value)];
@@ -137,12 +109,12 @@
         ...Object.entries(this.options.kinds).map(([value, word]) => el("option", { value, selected: value === told.kind }, word)));
       const remove = el("button", { type: "button", class: "wl-tool", title: `Remove colony ${index + 1}`, "aria-label": `Remove colony ${index + 1}`, disabled: this.data.panels.length < 2,
         onclick: () => this.setKinds(this.kinds().filter((_, i) => i !== index)) }, "×");
-      const view = new wl.FloorView(`Colony ${index + 1}: ${told.word}; arrows move a cursor, Enter sets an obstacle`, {
+      const view = new wl.FloorView(`Colony ${index + 1}: ${told.word}; arrows move a cursor, Enter sets an obstacle, S the start, G the goal`, {
         cells: (ctx, g, colours) => this.cells(panel, ctx, g, colours),
         paint: (ctx, g, colours) => this.paint(panel, ctx, g, colours),
         hover: (cell) => { view.draw(); view.hint(cell, cell === null ? null : this.lines(panel, cell)); },
         press: (cell) => this.press(cell),
-        key: (cell, key) => { if (key !== "Enter") return false; this.setWall(cell, this.floor.walls[cell] ? 0 : 1); return true; },
+        key: (cell, key) => this.key(cell, key),
         home: () => this.cell("start"),
       });
       const dot = el("span", { class: "wl-dot", style: `background: var(--wl-learn-v${index}); align-self: center` });

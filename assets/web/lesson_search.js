@@ -6,7 +6,7 @@
 
   const SMALL_TEXT = 46;
 
-  class SearchLesson extends wl.Lesson {
+  class SearchLesson extends wl.DrawnLesson {
     build() {
       this.panels = [];
       this.grid = el("div", { class: "wl-lesson-grid" });
@@ -88,48 +88,6 @@
       this.state.step = "0";
       this.player.step = 0;
       this.ask();
-    }
-
-    /** What pressing on a cell begins: moving the start or goal, or drawing. */
-    press(cell) {
-      const floor = this.floor;
-      for (const which of ["start", "goal"]) {
-        if (cell === this.cell(which)) return (to) => this.moveEnd(which, to);
-      }
-      if (this.tool !== "draw") return null;
-      const value = floor.walls[cell] ? 0 : 1;
-      const set = (at) => this.setWall(at, value);
-      set(cell);
-      return set;
-    }
-
-    cell(which) { const [x, y] = this.state[which].split(".").map(Number); return x + y * this.floor.width; }
-
-    setWall(cell, value) {
-      if (this.floor.walls[cell] === value || cell === this.cell("start") || cell === this.cell("goal")) return;
-      this.floor.walls[cell] = value;
-      this.edited();
-    }
-
-    moveEnd(which, cell) {
-      const other = this.cell(which === "start" ? "goal" : "start");
-      if (this.floor.walls[cell] || cell === other || cell === this.cell(which)) return;
-      this.state[which] = `${cell % this.floor.width}.${Math.floor(cell / this.floor.width)}`;
-      this.edited();
-    }
-
-    edited() {
-      this.state.map = wl.floorText(this.floor);
-      for (const view of this.views()) view.draw();
-      this.ask();
-    }
-
-    key(cell, key) {
-      if (key === "Enter") this.setWall(cell, this.floor.walls[cell] ? 0 : 1);
-      else if (key === "s" || key === "S") this.moveEnd("start", cell);
-      else if (key === "g" || key === "G") this.moveEnd("goal", cell);
-      else return false;
-      return true;
     }
 
     // ---- what the server answered

@@ -31,6 +31,15 @@
       for (const id of ["wl-status", "transport"]) { const node = document.getElementById(id); if (node) node.replaceChildren(); }
     }
 
+    /** Whether the element drawn on is still there. Drawn anew by Dash on one of these paths, it is bound anew. */
+    mounted(paths, bind) {
+      if (this.host.isConnected) return true;
+      const again = document.getElementById(this.host.id) && paths.includes(location.pathname);
+      if (again) bind(this.config);
+      else wl.bind(null);   // another page has come
+      return false;
+    }
+
     // ---- time
 
     seek(time, snap = false) {

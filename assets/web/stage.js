@@ -4,6 +4,7 @@
   const wl = (window.wattlane = window.wattlane || {});
   const el = wl.el;
   const PULSE_MS = 700, PULSE_GIVE_UP_MS = 8000;
+  const PATHS = { operate: ["/", "/operate"], replay: ["/replay"] };
   const ASKED_MS = 1500;   // how long a button shows what was asked for, until a frame shows that it is so
 
   class Stage extends wl.Player {
@@ -156,18 +157,12 @@
 
     _beat() {
       if (this.gone) return;
-      if (!this.host.isConnected) { wl.bind(this._redrawn() ? this.config : null); return; }
+      if (!this.mounted(PATHS[this.config.page], wl.bind)) return;
       const now = performance.now();
       this._showStatus(now);
       this._showTransport();
       this.panel.beat(now, this.time, this.follow);
       this._pulse(now);
-    }
-
-    /** Whether Dash has put a new map in place of ours, on the same page; otherwise another page has come. */
-    _redrawn() {
-      const pages = { operate: ["/", "/operate"], replay: ["/replay"] };
-      return !!document.getElementById("map") && pages[this.config.page].includes(location.pathname);
     }
 
     /** Asks Dash for what the open tab shows, when something changed and the last answer is in. */

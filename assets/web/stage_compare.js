@@ -85,7 +85,7 @@
 
     _beat() {
       if (this.gone) return;
-      if (!this.host.isConnected) { wl.bind(null); return; }   // another page has come
+      if (!this.mounted(["/compare"], wl.bindCompare)) return;
       const now = performance.now(), down = this.panels.some((panel) => panel.link_state === "down");
       this.showStatus(now, down ? "DISCONNECTED" : "REPLAY");
       this.showTransport();
