@@ -130,7 +130,9 @@ def power_w(robot: SkidSteer, v: float, omega: float, slope: float = 0.0) -> flo
     """Power of both sides at a steady speed and turning rate: the integrand of equation (10)."""
     left, right = torques(robot, v, omega, slope)
     half = robot.width_m * omega / 2
-    return side_power_w(robot, left, (v - half) / robot.wheel_m) + side_power_w(robot, right, (v + half) / robot.wheel_m)
+    return side_power_w(robot, left, (v - half) / robot.wheel_m) + side_power_w(
+        robot, right, (v + half) / robot.wheel_m
+    )
 
 
 def constants(robot: SkidSteer) -> F64:

@@ -79,12 +79,8 @@ def shapes_of(cluster: Cluster, robot: SkidSteer) -> Shapes:
 def height_at(height: F32, x: int, y: int, weight: F64) -> float:
     """Bilinear height in the square of cells whose lower left is (x, y)."""
     above, right = min(y + 1, height.shape[0] - 1), min(x + 1, height.shape[1] - 1)
-    return (
-        weight[0] * height[y, x]
-        + weight[1] * height[y, right]
-        + weight[2] * height[above, x]
-        + weight[3] * height[above, right]
-    )
+    low = weight[0] * height[y, x] + weight[1] * height[y, right]
+    return low + weight[2] * height[above, x] + weight[3] * height[above, right]
 
 
 @lean
@@ -99,7 +95,9 @@ def on_the_spot(c: F64, shapes: Shapes, h: int, k: int, friction: float, parts: 
 
 
 @lean
-def piece_power(c: F64, rise: float, flat: float, bend: float, scrub: float, friction: float, took: float, parts: F64) -> None:
+def piece_power(
+    c: F64, rise: float, flat: float, bend: float, scrub: float, friction: float, took: float, parts: F64
+) -> None:
     """Add the joules of one piece in the form `power`: flat metres, rise, curvature, seconds."""
     length = math.sqrt(flat * flat + rise * rise)
     roll = c[MU] * friction * c[WEIGHT] * flat / length
@@ -125,9 +123,7 @@ def piece_power(c: F64, rise: float, flat: float, bend: float, scrub: float, fri
 
 
 @lean
-def follow(
-    c: F64, ground: Ground, shapes: Shapes, cell_m: float, x: int, y: int, h: int, k: int, parts: F64
-) -> float:
+def follow(c: F64, ground: Ground, shapes: Shapes, cell_m: float, x: int, y: int, h: int, k: int, parts: F64) -> float:
     """Joules by part of a trajectory from a cell, whose end must lie on the map; returns its length in metres."""
     parts[:] = 0.0
     n = shapes.pieces[h, k]
@@ -181,10 +177,10 @@ def cost_of(
     length = follow(c, ground, shapes, cell_m, x, y, h, k, parts)
     if objective == DISTANCE:
         # turning on the spot has no length; without any cost it would be free
-        return max(int(math.ceil(1000.0 * length)), 1)
+        return max(math.ceil(1000.0 * length), 1)
     total = 0
     for i in range(len(parts)):
-        total += int(math.ceil(1000.0 * parts[i]))
+        total += math.ceil(1000.0 * parts[i])
     return min(max(total, 0), BLOCKED)
 
 
@@ -230,7 +226,7 @@ def refill(
 def close(
     height: F32, obstacle: U8, known: U8, body: I32, steepest: float, cell_m: float, box: I64, closed: U8
 ) -> None:
-    """Close the cells within box to which the body must not come: an obstacle within it, or steeper ground than allowed.
+    """Close the cells within box to which the body must not come: an obstacle in it, or ground steeper than allowed.
 
     Slopes are judged where the cell and its four neighbours are known. steepest: a tangent.
     """
