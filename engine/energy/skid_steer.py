@@ -135,6 +135,20 @@ def power_w(robot: SkidSteer, v: float, omega: float, slope: float = 0.0) -> flo
     )
 
 
+def least(robot: SkidSteer, friction: float) -> tuple[str, float, float]:
+    """Least cost on ground with at least this friction factor: a form, J per metre, J per metre of rise.
+
+    Forms are those of a consistent heuristic: `climb`, A·distance + B·max(0, rise), and `slope`, max(0, A·distance in
+    the plane + B·rise), for a descent may be free.
+    """
+    rolling, copper = robot.flat_j_per_m
+    if robot.form == "power":
+        return "slope", rolling * friction, robot.weight_n * robot.per_work
+    if robot.form == "printed":
+        return "space", rolling + copper - robot.mu * robot.weight_n, 0.0
+    return "climb", rolling * friction + copper * friction**2, robot.weight_n * robot.per_work
+
+
 def constants(robot: SkidSteer) -> F64:
     """What the kernels of engine.energy.terrain_costs need, in their order."""
     rolling, copper = robot.flat_j_per_m

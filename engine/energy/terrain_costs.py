@@ -251,7 +251,8 @@ def close(
 class TerrainCosts:
     """Costs of a map that may change: what somebody knows of the ground, and the table (S, K) over it.
 
-    Arrays are the object's own; `see` puts in what has become known and returns the states whose costs changed.
+    Without a table it tells what single trajectories cost. Arrays are the object's own; `see` puts in what has become
+    known and returns the states whose costs changed.
     """
 
     def __init__(
@@ -266,6 +267,7 @@ class TerrainCosts:
         slope_limit_deg: float,
         body_m: float,
         objective: str = "energy",
+        table: bool = True,
     ) -> None:
         self.cluster, self.robot, self.cell_m = cluster, robot, cell_m
         self.objective = OBJECTIVES[objective]
@@ -279,13 +281,19 @@ class TerrainCosts:
         self._dirty = np.zeros((rows, columns), np.uint8)
         self.closed = np.zeros((rows, columns), np.uint8)
         self.ground = Ground(self.height, self.friction, self.closed)
-        self._close(np.array([0, 0, columns, rows], np.int64))
-        self.cost = np.empty((rows * columns * HEADINGS, cluster.size), np.int32)
-        self.fill()
+        self.close()
+        self.cost = np.empty((rows * columns * HEADINGS if table else 0, cluster.size), np.int32)
+        if table:
+            self.fill()
 
     def fill(self) -> None:
         """The whole table anew."""
         fill(self.constants, self.ground, self.shapes, self.cell_m, self.objective, self._parts, self.cost)
+
+    def close(self) -> None:
+        """Closed cells anew, everywhere."""
+        rows, columns = self.height.shape
+        self._close(np.array([0, 0, columns, rows], np.int64))
 
     def _close(self, box: I64) -> None:
         close(self.height, self.obstacle, self.known, self.body, self.steepest, self.cell_m, box, self.closed)
@@ -298,6 +306,12 @@ class TerrainCosts:
         out = np.zeros(len(COMPONENTS), np.int64)
         out[list(PARTS)] = np.ceil(1000.0 * self._parts).astype(np.int64)
         return out
+
+    def can(self, state: int, k: int) -> bool:
+        """True when nothing stands in the way of trajectory k from a state."""
+        cell, h = divmod(state, HEADINGS)
+        y, x = divmod(cell, self.height.shape[1])
+        return bool(open_way(self.ground, self.shapes, x, y, h, k))
 
     def see(self, cells: I32, height_m: F32, obstacle: U8, friction: F32) -> I32:
         """Put in what cells (N, 2) as (x, y) are known to be; returns the states whose costs changed, ascending."""
@@ -313,7 +327,7 @@ class TerrainCosts:
         self._close(box)
         touched = before != self.closed
         touched[y, x] = True
-        return self._refill(touched)
+        return self._refill(touched) if len(self.cost) else np.zeros(0, np.int32)
 
     def _refill(self, touched: NDArray[np.bool_]) -> I32:
         """Costs anew from wherever a trajectory may touch these cells."""

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import BadInput, InvariantBroken
-from engine.planners.base import Promise
+from engine.planners.base import Promise, Route
 from engine.planners.kernels import adstar as kernel
 from engine.types import Occupancy, PlanStatus
 
@@ -52,30 +52,15 @@ class Heuristic:
 
 
 @dataclass(frozen=True, slots=True)
-class Route:
-    """A published way. states: (n + 1,) from the start to the goal · ks: (n,) trajectories · cost: their sum · bound:
-    it costs at most so many times the least."""
-
-    status: PlanStatus
-    states: I32
-    ks: I32
-    cost: int
-    bound: float
-    expanded: int
-
-    @property
-    def found(self) -> bool:
-        return self.status in (PlanStatus.SOLVED, PlanStatus.BOUNDED)
-
-
-@dataclass(frozen=True, slots=True)
 class AdStar:
     """Parameters. epsilon: of the first pass · step: by which it is lowered · share: when a change touches more than
-    this share of the states seen so far, planning anew is cheaper than repairing · anew, printed_h: the paper's."""
+    this share of the states seen so far, planning anew is cheaper than repairing · per_tick: expansions while a robot
+    drives · anew, printed_h: the paper's."""
 
     epsilon: float = 2.5
     step: float = 0.5
     share: float = 0.1
+    per_tick: int = 20_000
     anew: bool = False
     printed_h: bool = False
 
@@ -89,10 +74,10 @@ class AdStar:
     )
 
     def __post_init__(self) -> None:
-        if not 1 <= self.epsilon <= 10 or self.step <= 0 or not 0 <= self.share <= 1:
+        if not 1 <= self.epsilon <= 10 or self.step <= 0 or not 0 <= self.share <= 1 or self.per_tick < 1:
             raise BadInput(
-                f"got epsilon {self.epsilon:g}, step {self.step:g}, share {self.share:g}; expected epsilon from 1 to "
-                f"10, a step above 0 and a share from 0 to 1"
+                f"got epsilon {self.epsilon:g}, step {self.step:g}, share {self.share:g}, per_tick "
+                f"{self.per_tick}; expected epsilon from 1 to 10, step above 0, share from 0 to 1, per_tick above 0"
             )
 
 
@@ -216,7 +201,7 @@ class Search:
         self.solved = False
 
     def changed(self, states: I32, heights: bool = False, epsilon: float | None = None) -> None:
-        """Costs of the trajectories from these states have changed; heights: so has the ground's height somewhere.
+        """Costs from these states, or the heights of their cells, have changed; heights: all may have, the start's too.
 
         Begins a pass with the present ε, or another one, or plans anew where that is cheaper.
         """
@@ -224,13 +209,24 @@ class Search:
             self.now[kernel.EPS] = round(EXACT * epsilon)
         if len(states) == 0 and not heights and epsilon is None:
             return
-        seen = int((self.node[:, kernel.RHS] < kernel.INF).sum()) if self.options.share < 1 else 0
-        if self.options.anew or (self.options.share < 1 and len(states) > self.options.share * max(seen, 1)):
-            self.restart(None if not self.options.anew else self.epsilon)
+        if self.options.anew or self._much(states):
+            self.restart(self.epsilon if self.options.anew else None)
             return
         kernel.next_pass(self.lattice, self.open, heights or epsilon is not None)
         kernel.touch(self.lattice, self.open, states)
         self.solved = False
+
+    def _much(self, states: I32) -> bool:
+        """True when so many of the states seen so far are touched that a new search is cheaper than repair."""
+        if self.options.share >= 1:
+            return False
+        touched = int((self.node[states, kernel.RHS] < kernel.INF).sum())
+        return touched > self.options.share * max(int((self.node[:, kernel.RHS] < kernel.INF).sum()), 1)
+
+    def retarget(self, goal_cell: int) -> None:
+        """Plan anew to another cell."""
+        self.now[kernel.GOAL], self.now[kernel.FACING] = goal_cell, -1
+        self.restart()
 
     def to_memory(self) -> dict[str, Any]:
         """Named arrays from which `restore` goes on; only what has been seen."""
