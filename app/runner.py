@@ -563,6 +563,9 @@ def warm_up(scenario: Scenario) -> None:
     sim.advance(WARM_UP_TICKS)
     sim.snapshot()
     sim.flush()
+    if scenario.floor.kind == "terrain":
+        kernels_compiled()
+        return
     # What a plan that isn't found needs: no short run is sure to meet one.
     claims, steps, fleet = sim.claims, sim.steps, sim.fleet
     at = (0, int(fleet.here[0]), int(fleet.step[0]), int(fleet.steps[0]))

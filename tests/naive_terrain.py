@@ -7,6 +7,37 @@ import math
 from typing import Any
 
 INF = 2**30
+SMALL = """
+name = "small"
+title = "Small"
+[time]
+tick_s = 0.1
+until_s = 100.0
+finish = "goals reached"
+[floor]
+kind = "terrain"
+cell_m = 0.2
+[floor.terrain]
+width_m = 12.0
+length_m = 10.0
+hills = 4
+[motion]
+speed_mps = 0.5
+[fleet]
+count = 1
+mass_kg = 60.0
+start = [[8, 8]]
+[orders]
+source = "goals"
+goals = [[50, 40]]
+[energy]
+demand = "skid-steer"
+[planner]
+name = "adstar"
+[log]
+sample_s = 1.0
+"""
+"""A robot on 12 m × 10 m of ground."""
 
 
 def bilinear(height, x: float, y: float) -> float:

@@ -128,7 +128,7 @@ class Roaming:
         self.close()
         self.distance += int(self.graph.kind_mm[self.kind - PRIMITIVE_0])
         self.state, self.k = self.after(), NONE
-        self.open(Activity.WAIT, Cause.PLANNED)
+        self.begin(Activity.WAIT, Cause.PLANNED, FOREVER)
         self.look()
 
     def after(self) -> int:
@@ -167,6 +167,8 @@ class Roaming:
             self.say("arrived", "vehicle 0 is at its goal", 0, 0, self.goal_cell)
         if self.scenario.time.finish == "goals reached":
             self.done = True
+            if self.tick % self.sample_every:
+                self.sample()
             self.say("run done", "every vehicle rests at its goal")
 
     def plan(self) -> None:
@@ -278,6 +280,10 @@ class Roaming:
         if self.kind == kind and self.cause == cause and self.t1 == t1 and self.began == self.task:
             return
         self.close()
+        self.begin(kind, cause, t1)
+
+    def begin(self, kind: int, cause: Cause, t1: int) -> None:
+        """Set what the open interval is."""
         self.kind, self.cause, self.t0, self.t1, self.began = int(kind), int(cause), self.tick, t1, self.task
 
     def close(self) -> None:

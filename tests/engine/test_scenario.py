@@ -339,6 +339,7 @@ def test_the_library_lists_names_with_titles() -> None:
         "soochow2022-continuous": "Soochow floor, orders without end",
         "warehouse-large": "Large warehouse: 200 AGVs",
         "xu2025": "Xu & Wang 2025: four vehicles from corner to corner",
+        "zhang2021": "Terrain: a robot crosses hills that it half knows",
     }
 
 

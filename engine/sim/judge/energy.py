@@ -37,7 +37,7 @@ def energy(r: Record, log: RunLog, scenario: Scenario, graph: MotionGraph) -> It
     if cost is not None:
         yield from _ledgers(r, samples, cost, scenario, graph)
     yield from _charging(r, samples, scenario)
-    yield from _batteries(samples, log, scenario)
+    yield from batteries(samples, log, scenario)
 
 
 def costs(scenario: Scenario, graph: MotionGraph) -> I64 | None:
@@ -161,7 +161,7 @@ def _part(r: Record, rows: I64, cost: I64, graph: MotionGraph, until: I64) -> I6
     return np.asarray(whole * passed[:, None] // ticks[:, None])
 
 
-class _Samples:
+class Samples:
     """Battery rows by vehicle and tick; `follows` where the row before is the same vehicle's."""
 
     def __init__(self, log: RunLog) -> None:
@@ -176,12 +176,12 @@ class _Samples:
         self.follows[1:] = self.vehicle[1:] == self.vehicle[:-1]
 
 
-def _samples(log: RunLog) -> _Samples | None:
-    samples = _Samples(log)
+def _samples(log: RunLog) -> Samples | None:
+    samples = Samples(log)
     return samples if len(samples.tick) else None
 
 
-def _sums(r: Record, s: _Samples, cost: I64, graph: MotionGraph) -> I64:
+def _sums(r: Record, s: Samples, cost: I64, graph: MotionGraph) -> I64:
     """Energy of every vehicle's motions up to each sample, (samples, components), from its first interval on."""
     if r.n == 0:
         return np.zeros_like(s.ledger)
@@ -204,7 +204,7 @@ def _sums(r: Record, s: _Samples, cost: I64, graph: MotionGraph) -> I64:
     return out
 
 
-def _ledgers(r: Record, s: _Samples, cost: I64, scenario: Scenario, graph: MotionGraph) -> Iterator[Breach]:
+def _ledgers(r: Record, s: Samples, cost: I64, scenario: Scenario, graph: MotionGraph) -> Iterator[Breach]:
     """Between two samples each component grows by the sum over the motions; standby by its power."""
     expected = _sums(r, s, cost, graph)
     expected[:, Component.STANDBY] = standby_mj(scenario) * s.tick
@@ -229,7 +229,7 @@ def _ledgers(r: Record, s: _Samples, cost: I64, scenario: Scenario, graph: Motio
         yield Breach(BreachKind.ENERGY, t, (v,), -1, text)
 
 
-def _charging(r: Record, s: _Samples, scenario: Scenario) -> Iterator[Breach]:
+def _charging(r: Record, s: Samples, scenario: Scenario) -> Iterator[Breach]:
     """Charge flows only while charging, not faster than the charger gives, and with its losses."""
     ticks = np.where(r.kind == Activity.CHARGE, r.t1 - r.t0, 0)
     running = np.concatenate([[0], np.cumsum(ticks)])
@@ -263,7 +263,7 @@ def max_charge_mj(scenario: Scenario) -> int:
     return math.ceil(power_w * tick_s * 1000)
 
 
-def _batteries(s: _Samples, log: RunLog, scenario: Scenario) -> Iterator[Breach]:
+def batteries(s: Samples, log: RunLog, scenario: Scenario) -> Iterator[Breach]:
     """Charge falls by what the ledger's components sum to, and stays between empty and full.
 
     The only other way to change it is to change the battery, which is an event.
