@@ -84,44 +84,53 @@ def _exist(r: Record, ks: list[int], world: TerrainWorld) -> Iterator[Breach]:
 
 def _free(r: Record, ks: list[int], log: RunLog, world: TerrainWorld) -> Iterator[Breach]:
     """No obstacle comes under the robot's body, and no ground is steeper than its limit."""
-    rows, columns = world.terrain.shape
     obstacle = world.terrain.obstacle.copy()
-    z, cell_m = world.terrain.height_m.astype(np.float64), world.grain_m
-    steepest = math.tan(math.radians(world.terrain.slope_limit_deg))
-    near = math.floor(world.body_m / cell_m)
-    body = [(dx, dy) for dy in range(-near, near + 1) for dx in range(-near, near + 1)]
-    body = [(dx, dy) for dx, dy in body if math.hypot(dx, dy) * cell_m <= world.body_m + 1e-9]
     blocks = log.table("blocks")
     changes = list(zip(*(blocks[c].tolist() for c in ("tick", "place", "blocked")), strict=True))
     at = 0
     for i in sorted((i for i, k in enumerate(ks) if k >= 0), key=lambda i: int(r.t0[i])):
-        t, h = int(r.t0[i]), int(r.heading_a[i])
+        t = int(r.t0[i])
         while at < len(changes) and changes[at][0] <= t:
             obstacle.flat[changes[at][1]] = bool(changes[at][2])
             at += 1
-        y0, x0 = divmod(int(r.a[i]), columns)
-        for dx, dy in world.cluster.swept[h, ks[i], : world.cluster.n_swept[h, ks[i]]].tolist():
-            x, y = x0 + dx, y0 + dy
-            if not (0 <= x < columns and 0 <= y < rows):
-                yield Breach(BreachKind.OBSTACLE, t, (0,), int(r.b[i]), f"vehicle 0 leaves the map at tick {t}")
-                break
-            hit = [(x + a, y + b) for a, b in body if 0 <= x + a < columns and 0 <= y + b < rows]
-            hit = [(a, b) for a, b in hit if obstacle[b, a]]
-            if hit:
-                text = f"vehicle 0 drives into an obstacle at {hit[0]} at tick {t}"
-                yield Breach(BreachKind.BLOCKED, t, (0,), hit[0][1] * columns + hit[0][0], text)
-                break
-            west, east, south, north = max(x - 1, 0), min(x + 1, columns - 1), max(y - 1, 0), min(y + 1, rows - 1)
-            slope = math.hypot(
-                (z[y, east] - z[y, west]) / (east - west) / cell_m,
-                (z[north, x] - z[south, x]) / (north - south) / cell_m,
-            )
-            if slope > steepest * (1 + 1e-6):
-                text = (
-                    f"vehicle 0 drives at {(x, y)} at tick {t}, a slope of {math.degrees(math.atan(slope)):.0f} degrees"
-                )
-                yield Breach(BreachKind.OBSTACLE, t, (0,), y * columns + x, text)
-                break
+        if (found := hindrance(world, obstacle, int(r.a[i]), int(r.heading_a[i]), ks[i])) is not None:
+            kind, place, what = found
+            yield Breach(kind, t, (0,), place, f"vehicle 0 {what} at tick {t}")
+
+
+def hindrance(
+    world: TerrainWorld, obstacle: NDArray[np.bool_], place: int, h: int, k: int
+) -> tuple[BreachKind, int, str] | None:
+    """Why trajectory k of a heading can't be driven from a place: kind of breach, where, and in words; None if it can.
+
+    obstacle: (H, W) what stands where.
+    """
+    rows, columns = world.terrain.shape
+    z, cell_m = world.terrain.height_m, world.grain_m
+    y0, x0 = divmod(place, columns)
+    for dx, dy in world.cluster.swept[h, k, : world.cluster.n_swept[h, k]].tolist():
+        x, y = x0 + dx, y0 + dy
+        if not (0 <= x < columns and 0 <= y < rows):
+            return BreachKind.OBSTACLE, place, "leaves the map"
+        for a, b in _body(world.body_m / cell_m):
+            if 0 <= x + a < columns and 0 <= y + b < rows and obstacle[y + b, x + a]:
+                where = (y + b) * columns + x + a
+                return BreachKind.BLOCKED, where, f"drives into an obstacle at {(x + a, y + b)}"
+        west, east, south, north = max(x - 1, 0), min(x + 1, columns - 1), max(y - 1, 0), min(y + 1, rows - 1)
+        across = float(z[y, east] - z[y, west]) / (east - west) / cell_m
+        up = float(z[north, x] - z[south, x]) / (north - south) / cell_m
+        degrees = math.degrees(math.atan(math.hypot(across, up)))
+        if degrees > world.terrain.slope_limit_deg + 1e-4:
+            return BreachKind.OBSTACLE, y * columns + x, f"drives at {(x, y)} on a slope of {degrees:.0f} degrees"
+    return None
+
+
+@lru_cache(maxsize=8)
+def _body(radius_cells: float) -> tuple[tuple[int, int], ...]:
+    """Cells within the body, as offsets."""
+    n = math.floor(radius_cells)
+    every = ((dx, dy) for dy in range(-n, n + 1) for dx in range(-n, n + 1))
+    return tuple((dx, dy) for dx, dy in every if math.hypot(dx, dy) <= radius_cells)
 
 
 def parts_mj(scenario: Scenario, world: TerrainWorld, place: int, h: int, k: int) -> dict[Component, int]:
