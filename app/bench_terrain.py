@@ -18,13 +18,12 @@ def terrain(measured: Callable[..., Any], at_most: Callable[..., Any], *, quick:
     import numpy as np
 
     from engine.build import terrain_costs
-    from engine.studies.zhang2021 import ENDS, changes, passes, repair, robot_of, search_on, world_of
-    from engine.world.relief import generate
+    from engine.studies.zhang2021 import changes, ground_of, passes, repair, robot_of, search_on, world_of
 
     robot = robot_of({})
     compiled, first, best, ratio, expanded, size = [], [], [], [], [], 0
     for seed in (0, *(SEEDS[:2] if quick else SEEDS)):
-        ground = generate("bumps", seed, obstacles=30, free=ENDS)
+        ground = ground_of("bumps", seed)
         begun = process_time()
         world = world_of(ground)
         costs = terrain_costs(world, robot, "energy")

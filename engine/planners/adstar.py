@@ -111,7 +111,8 @@ class Search:
         weight = np.array([heuristic.per_m * SHADE, heuristic.per_rise_m * SHADE, cell_m])
         self.lattice = kernel.Lattice(end, from_heading, from_k, height, cost, weight)
         self.now = np.zeros(kernel.FIELDS, np.int64)
-        self.now[kernel.START], self.now[kernel.GOAL], self.now[kernel.FACING] = start, goal_cell, facing
+        self.now[kernel.GOAL], self.now[kernel.FACING] = goal_cell, facing
+        self._stand(start, height.shape[1])
         self.now[kernel.FORM] = Heuristic.FORMS.index(heuristic.form)
         self.node = np.empty((states, 4), np.int64)
         self.open = kernel.Open(
@@ -120,6 +121,10 @@ class Search:
         )  # fmt: skip
         self.solved = False  # the present pass is done
         self.restart()
+
+    def _stand(self, start: int, columns: int) -> None:
+        self.now[kernel.START] = start
+        self.now[kernel.START_Y], self.now[kernel.START_X] = divmod(start // HEADINGS, columns)
 
     @property
     def epsilon(self) -> float:
@@ -193,9 +198,9 @@ class Search:
         """The robot is, or will be, at another state; a heuristic towards it may be less by what it has moved."""
         if start == self.start:
             return
-        columns = self.lattice.height.shape[1]
-        (ya, xa), (yb, xb) = divmod(self.start // HEADINGS, columns), divmod(start // HEADINGS, columns)
-        self.now[kernel.START] = start
+        xa, ya = self.now[[kernel.START_X, kernel.START_Y]].tolist()
+        self._stand(start, self.lattice.height.shape[1])
+        xb, yb = self.now[[kernel.START_X, kernel.START_Y]].tolist()
         ahead = kernel.between(self.lattice, int(self.now[kernel.FORM]), xa, ya, xb, yb)
         self.now[kernel.LEAD] += math.ceil((ahead + 1) * int(self.now[kernel.EPS]) / EXACT)
         self.solved = False

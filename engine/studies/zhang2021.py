@@ -36,8 +36,8 @@ CLASSES: dict[str, dict[str, Any]] = {
 }
 """Classes of terrain, and what the generator is asked for."""
 OBSTACLES = 30
-ENDS = ((5.1, 5.1), (55.1, 55.1))
-"""Start and goal in metres, on 60 m × 60 m."""
+CORNER_M = 5.1
+"""Start and goal stand so far from the corners of the ground."""
 SHARES = (0.001, 0.01, 0.1)
 """Parts of the map that change in experiment 2."""
 SEEN = "what 4 m around the robot reveal"
@@ -62,9 +62,11 @@ NOTES = (
 
 @dataclass(frozen=True, slots=True)
 class Zhang2021:
-    """cluster: of trajectories · parameters: over the defaults of parameter_sets.zhang2021."""
+    """cluster: of trajectories · size_m: side of the ground · parameters: over the defaults of
+    parameter_sets.zhang2021."""
 
     cluster: str = "figure4"
+    size_m: float = 60.0
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -82,7 +84,7 @@ class Zhang2021:
     @property
     def experiments(self) -> Mapping[int, str]:
         return {
-            1: "Energy-optimal ways against the shortest, 60 m × 60 m",
+            1: f"Energy-optimal ways against the shortest, {self.size_m:g} m × {self.size_m:g} m",
             2: "Repair against planning anew, by the part of the map that changes",
         }
 
@@ -96,7 +98,8 @@ class Zhang2021:
         return [
             {
                 "what": f"experiment {e}, {name}, map {number + 1}", "experiment": e, "class": name, "map": number,
-                "seed": settings.seed, "cluster": self.cluster, "parameters": dict(self.parameters),
+                "seed": settings.seed, "cluster": self.cluster, "size_m": self.size_m,
+                "parameters": dict(self.parameters),
             }
             for e, names in ((1, tuple(CLASSES)), (2, ("bumps",)))
             for name in names
@@ -121,7 +124,8 @@ class Zhang2021:
         robot = robot_of(self.parameters)
         return {
             **parameter_sets.zhang2021(), **self.parameters, "mass_kg": robot.mass_kg, "cell_m": 0.2,
-            "cluster": self.cluster, "obstacles": OBSTACLES, "slope_limit_deg": 30.0, "seed": settings.seed,
+            "cluster": self.cluster, "size_m": self.size_m, "obstacles": OBSTACLES, "slope_limit_deg": 30.0,
+            "seed": settings.seed,
             "alpha_j_per_m": round(sum(robot.flat_j_per_m), 2), "epsilon": AdStar().epsilon, "step": AdStar().step,
         }  # fmt: skip
 
@@ -138,9 +142,18 @@ def solve_cell(cell: Cell) -> Cell:
     """One map. Energies in J, lengths in m, CPU times in ms."""
     words = [cell["seed"], list(CLASSES).index(cell["class"]), cell["map"]]
     seed = int(np.random.SeedSequence(words).generate_state(1)[0])
-    terrain = generate(cell["class"], seed, obstacles=OBSTACLES, free=ENDS, **CLASSES[cell["class"]])
+    terrain = ground_of(cell["class"], seed, cell["size_m"])
     robot = robot_of(cell["parameters"])
     return _both(cell, terrain, robot) if cell["experiment"] == 1 else _changed(cell, terrain, robot, seed)
+
+
+def ground_of(name: str, seed: int, size_m: float = 60.0) -> Terrain:
+    """Terrain of a class; hills and obstacles of 60 m × 60 m as dense on any size."""
+    asked, part = dict(CLASSES[name]), (size_m / 60) ** 2
+    if "count" in asked:
+        asked["count"] = max(1, round(asked["count"] * part))
+    ends = ((CORNER_M, CORNER_M), (size_m - CORNER_M, size_m - CORNER_M))
+    return generate(name, seed, size_m=(size_m, size_m), obstacles=round(OBSTACLES * part), free=ends, **asked)
 
 
 def world_of(terrain: Terrain, cluster: str = "figure4") -> TerrainWorld:
@@ -150,8 +163,8 @@ def world_of(terrain: Terrain, cluster: str = "figure4") -> TerrainWorld:
 
 def ends_of(world: TerrainWorld) -> tuple[int, int]:
     """Start state, looking along the diagonal, and goal cell."""
-    start, goal = (world.place_at(int(x / world.grain_m), int(y / world.grain_m)) for x, y in ENDS)
-    return start * HEADINGS + 2, goal
+    near, far = int(CORNER_M / world.grain_m), int((world.size_m[0] - CORNER_M) / world.grain_m)
+    return world.place_at(near, near) * HEADINGS + 2, world.place_at(far, far)
 
 
 def search_on(world: TerrainWorld, costs: TerrainCosts, robot: SkidSteer, **options: Any) -> Search:
@@ -259,7 +272,7 @@ def changes(
     away = np.hypot(cx - x, cy - y) / radius
     top = rng.choice([-1.0, 1.0]) * min(0.4, 0.05 * radius) * rng.uniform(0.5, 1.0)
     height = costs.height[cy, cx] + (top * np.cos(np.minimum(away, 1.0) * math.pi / 2) ** 2).astype(np.float32)
-    obstacle = costs.obstacle[cy, cx].copy()
+    obstacle: NDArray[np.uint8] = costs.obstacle[cy, cx].copy()
     for _ in range(max(1, round(len(cells) * 0.0005))):
         i = int(rng.integers(len(cells)))
         obstacle[(cx - cx[i]) ** 2 + (cy - cy[i]) ** 2 < 4] = 1
@@ -307,8 +320,9 @@ def repair(
 def _picture(world: TerrainWorld, ways: Mapping[str, Route], found: Cell) -> Cell:
     """The map in cells of 1 m, and both ways."""
     block = 5
-    shut = world.terrain.obstacle[: world.height // block * block, : world.width // block * block]
-    shut = shut.reshape(world.height // block, block, world.width // block, block).any((1, 3))
+    rows, columns = world.height // block, world.width // block
+    cells = world.terrain.obstacle[: rows * block, : columns * block].reshape(rows, block, columns, block)
+    shut = np.asarray(cells.any(axis=(1, 3)), np.bool_)
     names = {"distance": "shortest", "energy": "least energy"}
     paths, captions = {}, {}
     for objective, route in ways.items():

@@ -27,9 +27,9 @@ G, RHS, KEY, WORD = range(4)
 NO_K, IN_INCONS, PASS = 127, 128, 8
 HEADINGS, SHIFT = 16, 4
 # Fields of `now`: heap size, INCONS size, pass, inflation ε in thousandths, keys' lead k_m, expansions of this call and
-# of all, start state, goal cell, goal heading (-1 for any), heuristic, whole searches begun.
-SIZE, HELD, TURN, EPS, LEAD, CALL, ALL, START, GOAL, FACING, FORM, BEGUN = range(12)
-FIELDS = 12
+# of all, start state, goal cell, goal heading (-1 for any), heuristic, whole searches begun, cell of the start.
+SIZE, HELD, TURN, EPS, LEAD, CALL, ALL, START, GOAL, FACING, FORM, BEGUN, START_X, START_Y = range(14)
+FIELDS = 14
 # Heuristics: A·distance in space · that and B·climb · max(0, A·distance in the plane + B·rise) · as printed in (17)
 SPACE, CLIMB, SLOPE, PRINTED = range(4)
 DONE, MORE, FULL = range(3)
@@ -63,26 +63,31 @@ def between(lat: Lattice, form: int, xa: int, ya: int, xb: int, yb: int) -> int:
     rise = float(lat.height[yb, xb]) - float(lat.height[ya, xa])
     flat2 = dx * dx + dy * dy
     if form == SLOPE:
-        return max(0, math.floor(lat.weight[0] * math.sqrt(flat2) + lat.weight[1] * rise))
+        return np.int64(max(0.0, lat.weight[0] * math.sqrt(flat2) + lat.weight[1] * rise))
     far = lat.weight[0] * math.sqrt(flat2 + rise * rise)
     if form == CLIMB:
         far += lat.weight[1] * max(rise, 0.0)
     elif form == PRINTED:
         far += lat.weight[1] * -rise
-    return max(0, math.floor(far))
+    return np.int64(max(0.0, far))
+
+
+@lean
+def key_at(lat: Lattice, o: Open, s: int, x: int, y: int) -> int:
+    """Key of a state of cell (x, y): inflated heuristic when it is overconsistent, the plain one when it is not."""
+    g, rhs = o.node[s, G], o.node[s, RHS]
+    h = between(lat, o.now[FORM], o.now[START_X], o.now[START_Y], x, y)
+    if g > rhs:
+        return ((rhs + h * o.now[EPS] // 1000 + o.now[LEAD]) << 31) | rhs
+    return ((g + h + o.now[LEAD]) << 31) | g
 
 
 @lean
 def key_of(lat: Lattice, o: Open, s: int) -> int:
-    """Key of a state: inflated heuristic when it is overconsistent, the plain one when it is not."""
-    g, rhs = o.node[s, G], o.node[s, RHS]
-    columns = np.uint64(lat.height.shape[1])
-    a, b = np.uint64(o.now[START]) >> np.uint64(SHIFT), np.uint64(s) >> np.uint64(SHIFT)
-    ya, yb = a // columns, b // columns
-    h = between(lat, o.now[FORM], np.int64(a - ya * columns), np.int64(ya), np.int64(b - yb * columns), np.int64(yb))
-    if g > rhs:
-        return ((rhs + h * o.now[EPS] // 1000 + o.now[LEAD]) << 31) | rhs
-    return ((g + h + o.now[LEAD]) << 31) | g
+    """Key of a state."""
+    cell, columns = s >> SHIFT, lat.height.shape[1]
+    y = cell // columns
+    return key_at(lat, o, s, cell - y * columns, y)
 
 
 @lean
@@ -99,8 +104,8 @@ def is_goal(o: Open, s: int) -> bool:
 
 
 @lean
-def place(lat: Lattice, o: Open, s: int) -> None:
-    """Put a state where it belongs: in OPEN, in INCONS, or, consistent, in neither."""
+def place(lat: Lattice, o: Open, s: int, x: int, y: int) -> None:
+    """Put a state of cell (x, y) where it belongs: in OPEN, in INCONS, or, consistent, in neither."""
     row = o.node[s]
     if row[G] == row[RHS]:
         row[KEY] = -1
@@ -112,10 +117,18 @@ def place(lat: Lattice, o: Open, s: int) -> None:
             o.incons[o.now[HELD]] = s
             o.now[HELD] += 1
     else:
-        key = key_of(lat, o, s)
+        key = key_at(lat, o, s, x, y)
         if row[KEY] != key:
             row[KEY] = key
             o.now[SIZE] = push(o.keys, o.items, o.now[SIZE], key, s)
+
+
+@lean
+def put(lat: Lattice, o: Open, s: int) -> None:
+    """The same for any state."""
+    cell, columns = s >> SHIFT, lat.height.shape[1]
+    y = cell // columns
+    place(lat, o, s, cell - y * columns, y)
 
 
 @lean
@@ -144,7 +157,7 @@ def expand(lat: Lattice, o: Open, s: int) -> None:
         row[WORD] = (row[WORD] & 255) | (o.now[TURN] << PASS)
     else:
         row[G] = INF
-        place(lat, o, s)
+        put(lat, o, s)
     g, h, cell = row[G], s & (HEADINGS - 1), s >> SHIFT
     rows, columns = lat.height.shape
     y = cell // columns
@@ -165,10 +178,10 @@ def expand(lat: Lattice, o: Open, s: int) -> None:
             if c + g < o.node[p, RHS] and not is_goal(o, p):
                 o.node[p, RHS] = c + g
                 o.node[p, WORD] = (o.node[p, WORD] & ~NO_K) | k
-                place(lat, o, p)
+                place(lat, o, p, px, py)
         elif (o.node[p, WORD] & NO_K) == k:
             look_ahead(lat, o, p)
-            place(lat, o, p)
+            place(lat, o, p, px, py)
 
 
 @lean
@@ -224,7 +237,7 @@ def begin(lat: Lattice, o: Open) -> None:
         s = o.now[GOAL] * HEADINGS + h
         if is_goal(o, s):
             o.node[s, RHS] = 0
-            place(lat, o, s)
+            put(lat, o, s)
 
 
 @lean
@@ -241,7 +254,7 @@ def next_pass(lat: Lattice, o: Open, rekey: bool) -> None:
         s = o.incons[i]
         if o.node[s, WORD] & IN_INCONS:
             o.node[s, WORD] &= ~IN_INCONS
-            place(lat, o, s)
+            put(lat, o, s)
 
 
 @lean
@@ -274,7 +287,7 @@ def touch(lat: Lattice, o: Open, states: I32) -> None:
         if o.now[SIZE] > len(o.keys) - 4:
             compact(lat, o, False)
         look_ahead(lat, o, s)
-        place(lat, o, s)
+        put(lat, o, s)
 
 
 @lean
