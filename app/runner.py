@@ -180,10 +180,10 @@ def check_names(scenario: Scenario) -> None:
     from engine import build
 
     parts = (
-        ("planner", scenario.planner.name, {**build.PLANNERS, **build.SOLVERS}),
+        ("planner", scenario.planner.name, {**build.PLANNERS, **build.SOLVERS, **build.ROAMING}),
         ("dispatcher", scenario.dispatch.policy, build.DISPATCHERS),
         ("charging policy", scenario.charging.policy, build.CHARGING),
-        ("demand model", scenario.energy.demand, build.DEMAND),
+        ("demand model", scenario.energy.demand, {**build.DEMAND, **build.DRIVES}),
         ("battery model", scenario.battery.model, build.BATTERIES),
     )
     for what, name, registry in parts:
