@@ -550,7 +550,9 @@ def test_every_parameter_can_be_set_to_its_default_and_is_described() -> None:
         assert row["description"], row["key"]
         assert row["type"] in {"integer", "number", "text", "choice", "list", "table"}
         assert bool(row["choices"]) == (row["type"] == "choice")
-        if row["default"] is not None and not row["key"].startswith(("floor.blocks.", "floor.network.")):
+        if row["default"] is not None and not row["key"].startswith(
+            ("floor.blocks.", "floor.network.", "floor.terrain.")
+        ):
             overrides = {row["key"]: row["default"]}
             if row["key"] in ("time.finish", "orders.source", "orders.pairs"):
                 continue  # these three must agree with each other
