@@ -59,7 +59,7 @@ class AdStar:
 
     epsilon: float = 2.5
     step: float = 0.5
-    share: float = 0.1
+    share: float = 0.5
     per_tick: int = 20_000
     anew: bool = False
     printed_h: bool = False
