@@ -171,17 +171,19 @@ def open_way(ground: Ground, shapes: Shapes, x: int, y: int, h: int, k: int) -> 
 def cost_of(
     c: F64, ground: Ground, shapes: Shapes, cell_m: float, objective: int, x: int, y: int, h: int, k: int, parts: F64
 ) -> int:
-    """Cost of a trajectory from a cell: millijoules or millimetres, rounded up; BLOCKED when it can't be driven."""
+    """Cost of a trajectory from a cell: millijoules or millimetres, rounded up; BLOCKED when it can't be driven.
+
+    At least 1, where recovery gives something back too: repair asks for positive costs, or ties hide what is outdated.
+    """
     if not open_way(ground, shapes, x, y, h, k):
         return BLOCKED
     length = follow(c, ground, shapes, cell_m, x, y, h, k, parts)
     if objective == DISTANCE:
-        # turning on the spot has no length; without any cost it would be free
         return max(math.ceil(1000.0 * length), 1)
     total = 0
     for i in range(len(parts)):
         total += math.ceil(1000.0 * parts[i])
-    return min(max(total, 0), BLOCKED)
+    return min(max(total, 1), BLOCKED)
 
 
 @lean

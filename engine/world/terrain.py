@@ -118,6 +118,11 @@ def build_terrain(plan: TerrainPlan) -> TerrainWorld:
     if plan.prior not in PRIORS:
         raise BadInput(unknown_name("prior", plan.prior, PRIORS))
     templates = cluster(plan.cluster, terrain.cell_m, plan.speed_mps, plan.turn_rate, plan.tick_s)
+    needed = (templates.reach + 1) * terrain.cell_m + plan.body_m
+    if plan.sensor_m < needed - 1e-9:
+        raise BadInput(
+            f"got a sensor of {plan.sensor_m:g} m, expected at least {needed:.1f} m: so far a trajectory leads"
+        )
     known = np.full(terrain.shape, plan.prior == "full", np.bool_)
     if plan.prior == "full":
         prior = terrain.height_m

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from engine.energy.parameter_sets import zhang2021
-from engine.energy.skid_steer import SkidSteer
+from engine.energy.skid_steer import SkidSteer, constants
 from engine.energy.terrain_costs import BLOCKED, TerrainCosts
 from engine.errors import BadInput
 from engine.planners.adstar import AdStar, Heuristic, Search
@@ -152,6 +152,26 @@ def test_every_published_way_keeps_its_bound_and_repairs_equal_new_plans(form: s
             search.changed(case.change(1 + round_), heights=True, epsilon=2.5 if round_ % 3 else None)
         assert search.work(10**9).cost <= search.epsilon * case.optimum()[case.start]
     assert checks > 667
+
+
+def test_a_descent_that_gives_energy_back_is_repaired_too() -> None:
+    """Where recovery outweighs all else a way costs 1, not 0: equal keys would leave outdated states in it."""
+    for seed in range(12):
+        case = Case(seed, side=12, density=0.0)
+        case.costs.constants[:] = constants(robot("power", recovery=1.0))
+        case.costs.height[:] = np.linspace(2.0, 0.0, case.side, dtype=np.float32)[None, :]
+        case.costs.fill()
+        case.heuristic = heuristic(robot("power", recovery=1.0))
+        assert (case.costs.cost == 1).any()
+        case.start, case.goal = (case.side // 2) * case.side * 16, (case.side // 2) * case.side + case.side - 1
+        search = case.search(share=1.0)
+        for _ in range(8):
+            best = search.best()
+            check(case, search, best, case.optimum())
+            if len(best.ks) > 1:
+                case.start = int(best.states[1])
+                search.move(case.start)
+            search.changed(case.change(6), heights=True)
 
 
 def test_budgets_of_any_size_lead_to_the_same_way() -> None:

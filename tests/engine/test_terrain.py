@@ -238,7 +238,7 @@ def test_costs_are_those_of_the_slow_twin(form: str, changes: dict[str, float]) 
             parts = costs.parts(s, k)
             for component in PARTS:
                 assert abs(parts[component] - 1000 * expected[component.name.lower()]) <= 1.001
-            assert costs.cost[s, k] == max(int(parts.sum()), 0)
+            assert costs.cost[s, k] == max(int(parts.sum()), 1)
             assert (form == "climb" or not changes) or parts[Component.RECOVERED] <= 0
 
 
@@ -342,6 +342,7 @@ def test_a_scenario_of_terrain_is_itself_again_as_toml() -> None:
         ("cell_m = 0.2", "cell_m = 2.0", "smaller cells"),
         ('kind = "terrain"', 'kind = "drawing"\nrows = "..."', "only a floor of kind 'terrain'"),
         ("hills = 4", 'heights = "junk"', "damaged"),
+        ("hills = 4", "sensor_m = 0.5", r"expected at least 1\.8 m"),
     ],
 )
 def test_what_is_wrong_with_a_scenario_is_said(old: str, new: str, words: str) -> None:
