@@ -45,8 +45,9 @@ format: ## let ruff repair and format
 lock: ## resolve the dependencies anew       (ARGS=--upgrade)
 	@bash scripts/lock.sh $(ARGS)
 
-demos: setup ## record the demo runs anew
+demos: setup ## record the demo runs and the arc times of *Learned time* anew
 	$(py) scripts/demos.py
+	$(py) scripts/learned_time.py
 
 clean: ## remove caches and what was built
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

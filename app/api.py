@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 PARTS = ("fleet", "orders", "chargers", "events", "kpis")
-HEATS = ("occupancy", "waiting", "energy")
 STATUS_S = 0.5
 SOCKET_MESSAGE_LIMIT = 4096
 NO_STORE = {"cache-control": "no-store"}
@@ -185,6 +184,8 @@ def add_run_routes(server: FastAPI, manager: RunManager) -> None:
 
     @server.get("/api/runs/{run_id}/heat")
     def heat(run_id: str, kind: str = "occupancy", t0: Seconds = None, t1: Seconds = None) -> Response:
+        from engine.results.view import HEATS
+
         if kind not in HEATS:
             raise BadInput(f"a heat map of {', '.join(HEATS)} was expected; got {kind[:40]!r}")
         tick_s = float(manager.manifest(run_id)["tick_s"])
@@ -193,6 +194,15 @@ def add_run_routes(server: FastAPI, manager: RunManager) -> None:
             return view.heat(kind, ticks_of(view, tick_s, t0 or 0.0), ticks_of(view, tick_s, t1))
 
         return answer({"kind": kind, "values": manager.read(run_id, ask)})
+
+    @server.get("/api/runs/{run_id}/arcs")
+    def arcs(run_id: str, t0: Seconds = None, t1: Seconds = None) -> Response:
+        tick_s = float(manager.manifest(run_id)["tick_s"])
+
+        def ask(view: RunView) -> Any:
+            return view.arcs(ticks_of(view, tick_s, t0 or 0.0), ticks_of(view, tick_s, t1))
+
+        return answer(manager.read(run_id, ask))
 
     @server.get("/api/runs/{run_id}/view")
     def view(run_id: str, t: Seconds = None, parts: str = "fleet,orders,chargers,events,kpis") -> Response:
@@ -381,6 +391,28 @@ def add_file_routes(server: FastAPI, manager: RunManager, viewer_cache: Path) ->
         return FileResponse(file, media_type=kind, headers=headers)
 
 
+def add_compare_routes(server: FastAPI, manager: RunManager) -> None:
+    """Runs beside each other: what each has come to at a time, where they part, and one recording of all."""
+    from app.comparing import Comparisons
+
+    beside = Comparisons(manager)
+
+    @server.get("/api/compare")
+    def compare(runs: str = "", t: Seconds = None) -> Response:
+        return answer(beside.told(beside.checked(run_ids_in(runs)), t))
+
+    @server.get("/api/compare/rrd")
+    def compared(runs: str = "") -> Response:
+        file = beside.recording(beside.checked(run_ids_in(runs)))
+        cleanup = BackgroundTask(lambda: file.unlink(missing_ok=True))
+        return FileResponse(file, filename="compare.rrd", headers=NO_STORE, background=cleanup)
+
+
+def run_ids_in(text: str) -> list[str]:
+    """Run ids separated by commas."""
+    return [word for word in text.split(",") if word]
+
+
 def recording(manager: RunManager, run_id: str) -> Path:
     """The run's `.rrd`, made from its log when it has none or its writer was killed."""
     from app.runner import rebuild_recording, scenario_of, world_of
@@ -517,6 +549,7 @@ def install(server: FastAPI, manager: RunManager, viewer_cache: Path) -> None:
     """Adds every route; what is unknown below /api answers 404 rather than a page."""
     add_error_answers(server)
     add_run_routes(server, manager)
+    add_compare_routes(server, manager)
     add_scenario_routes(server, manager.scenarios)
     add_file_routes(server, manager, viewer_cache)
     add_socket(server, manager)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from app.cli_compare import compare
 from app.cli_study import study
 from app.settings import DEFAULT_PORT, DEFAULT_SCENARIO, LOOPBACK, Settings, data_folder
 from engine.errors import BadInput, RunError, WattlaneError
@@ -583,6 +584,7 @@ def bench(
         put(benchmarks.table(results))
 
 
+app.command()(compare)
 app.command()(study)
 
 

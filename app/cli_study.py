@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 def study(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="A study; without one they are listed.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few maps per case.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Few maps, or seeds, per case.")] = False,
     maps: Annotated[
-        int | None, typer.Option("--maps", metavar="N", help="Maps per case.", show_default="the study's")
+        int | None, typer.Option("--maps", metavar="N", help="Maps, or seeds, per case.", show_default="the study's")
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", help="Processes; -1 is one per core.")] = -1,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of all maps.")] = 11,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of everything drawn.")] = 11,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the JSON, Markdown and HTML files.")] = None,
     scheduler: Annotated[
@@ -68,6 +68,7 @@ def study(
 
 def _list(store: Store, as_json: bool) -> None:
     from app.cli import put, put_json
+    from app.study_report import counted_words
     from engine.studies.base import STUDIES
     from engine.studies.base import study as found_study
 
@@ -91,7 +92,7 @@ def _list(store: Store, as_json: bool) -> None:
             put(f"  {number}  {what}")
         for result in entry["results"]:
             made = result["made"]
-            put(f"  {result['id']}: {made['maps']} maps per case, seed {made['seed']}, {made['at'][:10]}")
+            put(f"  {result['id']}: {counted_words(made)} per case, seed {made['seed']}, {made['at'][:10]}")
 
 
 @contextlib.contextmanager

@@ -93,6 +93,34 @@ class Replay(StrEnum):
     RERUN = "rerun-modal"
     RERUN_HOST = "rerun-host"  # *
     CATALOGUE = "catalogue"
+    PICK = "pick"  # with the run's id
+    COMPARE = "compare-picked"
+    PICKED = "picked"
+
+
+class Compare(StrEnum):
+    """Runs beside each other, and the form that starts them. Each run's letter follows MAP and NUMBERS."""
+
+    CONFIG = "compare-config"
+    BOUND = "compare-bound"
+    DRAWN = "compare-drawn"
+    TICK = "compare-tick"
+    PROGRESS = "compare-progress"
+    PARTING = "compare-parting"  # *
+    GOTO = "compare-goto"  # *
+    LEGEND = "compare-legend"  # *
+    MAP = "map"  # *
+    NUMBERS = "numbers"  # *
+    ORDERS = "compare-orders"  # *
+    ENERGY = "compare-energy"  # *
+    WAITING = "compare-waiting"  # *
+    ASKED = "compare-asked"
+    SCENARIO = "compare-scenario"
+    PLANNERS = "compare-planners"
+    SEED = "compare-seed"
+    LENGTH = "compare-length"
+    START = "compare-start"
+    ERROR = "compare-error"
 
 
 class Scenarios(StrEnum):

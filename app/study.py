@@ -164,7 +164,7 @@ def compute(
     from app.settings import use_kernel_cache, writable
 
     use_kernel_cache()
-    from engine.studies.base import Settings, as_plain, code_version, study
+    from engine.studies.base import Settings, as_plain, code_version, counted, study
 
     found = study(checked_study(name))
     folder = store.cells(name)
@@ -191,7 +191,8 @@ def compute(
             marker.touch()
     record = as_plain(result)
     made = _made(asked, scheduler)
-    made |= {"maps": asked.maps or found.maps[not asked.quick], "wall_s": round(time.monotonic() - begun, 1)}
+    made |= {"maps": asked.maps or found.maps[not asked.quick], "counted": counted(found)}
+    made |= {"wall_s": round(time.monotonic() - begun, 1)}
     made |= {"kept": cells[0], "cells": cells[1], "code": code_version(type(found).__module__)}
     record = {"study": record.pop("study"), "made": made, **record}
     made["id"] = store.save(record)

@@ -42,7 +42,7 @@ def cells_of(row: Record) -> list[str]:
     note = f" ({row['note']})" if row.get("note") else ""
     return [
         str(row["experiment"]),
-        f"{row['quantity']}{note}, {row['unit']}",
+        f"{row['quantity']}{note}" + (f", {row['unit']}" if row["unit"] else ""),
         str(row["case"]),
         paper_words(row),
         number(row["ours"]),
@@ -66,12 +66,17 @@ def judged(record: Record) -> str:
     return f"{word} in {record['plans']:,} plans judged"
 
 
+def counted_words(made: Record) -> str:
+    """`100 maps`, `5 seeds`."""
+    return f"{made['maps']} {made.get('counted', 'maps')}"
+
+
 def made_words(record: Record) -> str:
     """When the result was made, and how."""
     made = record["made"]
     kind = "Quick run" if made["quick"] else "Run"
     versions = ", ".join(f"{name} {made['versions'][name]}" for name in NAMED if name in made["versions"])
-    return f"{kind} of {made['maps']} maps per case, seed {made['seed']}, {made['at'][:10]}; {versions}"
+    return f"{kind} of {counted_words(made)} per case, seed {made['seed']}, {made['at'][:10]}; {versions}"
 
 
 def value_words(value: Any) -> str:

@@ -1,6 +1,7 @@
 """Figure builders: data in, plotly figure out. They know no Dash, no callback and no file."""
 
 from app.figures.bands import bands_figure
+from app.figures.comparing import comparing_figure
 from app.figures.energy import energy_figure
 from app.figures.occupancy import occupancy_figure
 from app.figures.reservations import reservations_figure
@@ -9,6 +10,7 @@ from app.figures.throughput import throughput_figure
 
 __all__ = [
     "bands_figure",
+    "comparing_figure",
     "energy_figure",
     "occupancy_figure",
     "reservations_figure",

@@ -17,6 +17,8 @@ from app.theme import INK, LIGHT, SERIES, known_scheme, template
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "star")
 """Series differ by more than their colour."""
 DASHES = ("solid", "dash", "dot", "dashdot")
+NAMED_ROWS = 24
+"""A Gantt chart of so many rows names each."""
 FLOOR = {LIGHT: ("#f4f6f9", "#6b7682"), "dark": ("#1c222b", "#566270")}
 """Free cells and obstacles."""
 
@@ -63,7 +65,8 @@ def _lines(name: str, data: Data, scheme: str, mode: str = "lines+markers") -> g
     for k, each in enumerate(data["series"]):
         colour = SERIES[k % len(SERIES)]
         chart.add_scatter(
-            x=each["x"], y=each["y"], mode=mode, name=each["name"], error_y=_whiskers(each, colour),
+            x=each["x"], y=each["y"], mode=mode if each.get("points", True) else "lines", name=each["name"],
+            error_y=_whiskers(each, colour),
             line=line(colour, 2, dash=each.get("style") or DASHES[k % len(DASHES)]),
             marker={"size": 8, "symbol": SYMBOLS[k % len(SYMBOLS)], "color": colour},
             hovertemplate=f"{each['name']}<br>%{{x}}: %{{y:.4~g}}<extra></extra>",
@@ -147,7 +150,10 @@ def _gantt(name: str, data: Data, scheme: str) -> go.Figure:
             hovertemplate=f"{word}<br>%{{y}}: %{{customdata[0]:.4~g}} to %{{customdata[1]:.4~g}}<extra></extra>",
         )  # fmt: skip
     chart.update_layout(barmode="overlay")
-    chart.update_yaxes(autorange="reversed", type="category")
+    rows = list(dict.fromkeys(str(bar["row"]) for bar in data["bars"]))
+    chart.update_yaxes(autorange="reversed", type="category", categoryorder="array", categoryarray=rows)
+    if len(rows) <= NAMED_ROWS:
+        chart.update_yaxes(dtick=1)
     return chart
 
 

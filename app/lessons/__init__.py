@@ -10,6 +10,8 @@ from app.lessons.base import Lesson
 LESSONS: dict[str, str] = {
     "search": "app.lessons.search:LESSON",
     "tree": "app.lessons.tree:LESSON",
+    "learned-time": "app.lessons.learned_time:LESSON",
+    "motor": "app.lessons.motor:LESSON",
 }
 """The lesson at /learn/{name}, in the order of the page."""
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from app.figures.reservations import ribbon_rows
 from app.runs import RunManager
+from engine.world.network import NetworkWorld
 
 POINTS = 240
 EVENT_ROWS = 300
@@ -17,6 +18,7 @@ SPANS: dict[str, float] = {"600": 600.0, "3600": 3600.0, "28800": 28800.0, "0": 
 """Span of the charts in seconds by the value of its control; 0 is the whole run."""
 LANES_S = (600.0, 120.0)
 """Of the reservations: so far back, and so far ahead."""
+HOUR_S = 3600.0
 LINES_FOR = 400
 """Fleets up to this size send a curve of charge per vehicle."""
 
@@ -87,10 +89,19 @@ def _side(view: Any, at: float, asked: Asked, told: Told) -> None:
     place = asked.selection.get("place")
     if isinstance(place, int) and 0 <= place < view.world.graph.n_places:
         told.values["place_name"] = {place: view.world.place_name(place)}
+        if isinstance(view.world, NetworkWorld):
+            told.values["place_title"] = view.world.label(place)
+            told.values["arc"] = arc(view, place, at) if view.world.arc_of(place) >= 0 else None
     if asked.selection["kind"] == "charger":
         told.values["chargers"] = view.chargers(at)
     if asked.selection["kind"] == "station":
         told.values["orders"] = view.orders(at)
+
+
+def arc(view: Any, place: int, at: float) -> dict[str, float]:
+    """What is known of one arc: expected_s, and over the last hour (or since the start) passages and occupancy."""
+    found = view.arcs(max(0.0, at - HOUR_S / view.tick_s), at)
+    return {name: float(values[place]) for name, values in found.items()}
 
 
 def _tab(view: Any, since: float, at: float, asked: Asked, told: Told) -> None:

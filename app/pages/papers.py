@@ -20,6 +20,7 @@ from app.components.basics import badge, empty, facts, section, span
 from app.figures.study import study_panels
 from app.ids import Papers, Shell
 from app.pages.base import Page, Query
+from app.pages.compare import start_address
 from app.runs import RunManager
 from app.study import SHIPPED, Asked, Studies, checked_study
 from app.theme import GRAPH_CONFIG, LIGHT
@@ -41,7 +42,7 @@ def studies_of(manager: RunManager) -> Studies:
 
 def layout(studies: Studies, query: Query) -> html.Div:
     """One study: the list beside it, how to run it, the result that is shown. Raises NoSuchResult."""
-    from engine.studies.base import STUDIES, study
+    from engine.studies.base import STUDIES, counted, study
 
     name = checked_study(query.get("study") or next(iter(STUDIES)))
     found = study(name)
@@ -58,7 +59,7 @@ def layout(studies: Studies, query: Query) -> html.Div:
             html.Aside(
                 [
                     section("Studies", html.Ul([_link(each, name) for each in STUDIES], className="wl-runs")),
-                    section("Run it", run_form(found.maps)),
+                    section("Run it", run_form(found.maps, counted(found))),
                 ],
                 className="wl-papers-side",
             ),
@@ -91,16 +92,16 @@ def nothing_yet() -> html.Div:
     )
 
 
-def run_form(maps: tuple[int, int]) -> html.Div:
-    """Quick or full, maps, seed."""
+def run_form(maps: tuple[int, int], counted: str) -> html.Div:
+    """Quick or full, how many maps (or what a study counts), seed."""
     quick, full = maps
     return html.Div(
         [
             dmc.SegmentedControl(
                 id=Papers.QUICK,
                 data=[
-                    {"value": "quick", "label": f"Quick ({quick} maps)"},
-                    {"value": "full", "label": f"Full ({full} maps)"},
+                    {"value": "quick", "label": f"Quick ({quick} {counted})"},
+                    {"value": "full", "label": f"Full ({full} {counted})"},
                 ],
                 value="quick",
                 fullWidth=True,
@@ -108,8 +109,8 @@ def run_form(maps: tuple[int, int]) -> html.Div:
                 className="whole",
             ),
             dmc.NumberInput(
-                id=Papers.MAPS, label="Maps per case", placeholder="as above", min=1, max=100_000, allowDecimal=False,
-                size="xs", value="",
+                id=Papers.MAPS, label=f"{counted.capitalize()} per case", placeholder="as above", min=1, max=100_000,
+                allowDecimal=False, size="xs", value="",
             ),
             dmc.NumberInput(id=Papers.SEED, label="Seed", min=0, allowDecimal=False, size="xs", value=11),
             html.Div(id=Papers.ERROR, className="wl-error whole", role="alert"),
@@ -144,7 +145,7 @@ def shown(name: str, results: list[dict[str, Any]], record: Mapping[str, Any]) -
                         w=440,
                         label="Result shown",
                     ),
-                    html.Div([html.Span("Download"), *links], className="wl-row"),
+                    html.Div([html.Span("Download"), *links, methods_link(name)], className="wl-row"),
                 ],
                 className="wl-papers-bar",
             ),
@@ -166,12 +167,18 @@ def shown(name: str, results: list[dict[str, Any]], record: Mapping[str, Any]) -
     )
 
 
+def methods_link(name: str) -> Any:
+    """To runs of a study's methods beside each other, where they run in a scenario."""
+    address = start_address(name)
+    return dcc.Link("Compare these methods", href=address, className="wl-button small") if address else None
+
+
 def result_words(result: Mapping[str, Any]) -> str:
     """A result in the list of results."""
     about = result["made"]
     when = datetime.fromisoformat(about["at"]).strftime("%Y-%m-%d %H:%M")
     whose = "came with the program" if result["origin"] == SHIPPED else "your own"
-    return f"{when} · {about['maps']} maps · seed {about['seed']} · {whose}"
+    return f"{when} · {study_report.counted_words(about)} · seed {about['seed']} · {whose}"
 
 
 def made(record: Mapping[str, Any]) -> str:
@@ -246,8 +253,10 @@ def _figure(figure: Mapping[str, Any], scheme: str) -> html.Figure:
     if figure["kind"] == "table":
         head = html.Tr([html.Th(word) for word in data["columns"]])
         rows = [html.Tr([html.Td(study_report.value_words(cell)) for cell in row]) for row in data["rows"]]
-        plain = html.Table([html.Thead(head), html.Tbody(rows)], className="wl-catalogue")
-        panels.append(html.Div(plain, className="wl-table-scroll"))
+        plain = html.Table([html.Thead(head), html.Tbody(rows)], className="wl-catalogue wl-plain")
+        panels.append(
+            html.Div(plain, className="wl-table-scroll", tabIndex=0, role="region", **{"aria-label": figure["title"]})
+        )
     note = html.P(data["note"], className="wl-hint") if data.get("note") else None
     many = " several" if len(panels) > 1 else ""
     return html.Figure(
@@ -315,7 +324,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         if not clicks or not chosen:
             return no_update
         try:
-            wanted = whole(maps, "Maps per case")
+            wanted = whole(maps, "How many per case")
             asked = Asked(quick == "quick", wanted, whole(seed, "Seed") or 0)
             studies.start(chosen["study"], asked)
         except WattlaneError as error:

@@ -7,8 +7,9 @@ from typing import Any
 
 import dash
 import dash_mantine_components as dmc
-from dash import ClientsideFunction, Input, Output, State, dcc, html, no_update
+from dash import ALL, ClientsideFunction, Input, Output, State, dcc, html, no_update
 
+from app.comparing import LETTERS, Comparisons, label, refusal
 from app.components.basics import action_button, badge, clock, empty, facts, section, size
 from app.ids import Replay, Shell, Stage
 from app.pages import data
@@ -17,8 +18,10 @@ from app.pages.base import Page, opened
 from app.pages.operate import KIND_OF_STATUS, passport
 from app.runs import RunManager
 from engine.build import planners_for
+from engine.errors import WattlaneError
 
 SAME = "as recorded"
+PICK_SOME = "Tick two to four runs of one scenario and seed to see them beside each other."
 
 
 def layout(manager: RunManager, run_id: str) -> html.Div:
@@ -136,11 +139,19 @@ def catalogue(runs: Sequence[Mapping[str, Any]]) -> Any:
         [html.Th(word) for word in ("Run", "Planner", "Seed", "Verdict", "Duration", "Size", "Status", "Actions")]
     )
     return html.Div(
-        html.Table(
-            [html.Thead(head), html.Tbody([_row(run) for run in runs])],
-            className="wl-catalogue",
-        ),
-        className="wl-table-scroll",
+        [
+            html.Div(
+                [
+                    dmc.Button("Compare", id=Replay.COMPARE, size="xs", disabled=True),
+                    html.Span(PICK_SOME, id=Replay.PICKED, role="status"),
+                ],
+                className="wl-compare-pick",
+            ),
+            html.Div(
+                html.Table([html.Thead(head), html.Tbody([_row(run) for run in runs])], className="wl-catalogue"),
+                className="wl-table-scroll",
+            ),
+        ]
     )
 
 
@@ -167,13 +178,27 @@ def _row(run: Mapping[str, Any]) -> html.Tr:
     return html.Tr(
         [
             html.Td(
-                [
-                    dcc.Link(name, href=f"/{'operate' if run['alive'] else 'replay'}?run={run_id}"),
-                    " ",
-                    badge("demo", "open") if demo else None,
-                    html.Small(run_id),
-                    html.Small(f"forked from {parent['run_id']} at tick {parent['tick']}") if parent else None,
-                ]
+                html.Div(
+                    [
+                        dmc.Checkbox(
+                            id={"type": Replay.PICK, "run": run_id},
+                            size="xs",
+                            **{"aria-label": f"Choose {run_id} to compare"},
+                        ),
+                        html.Div(
+                            [
+                                dcc.Link(name, href=f"/{'operate' if run['alive'] else 'replay'}?run={run_id}"),
+                                " ",
+                                badge("demo", "open") if demo else None,
+                                html.Small(run_id),
+                                html.Small(f"forked from {parent['run_id']} at tick {parent['tick']}")
+                                if parent
+                                else None,
+                            ]
+                        ),
+                    ],
+                    className="wl-run-name",
+                )
             ),
             html.Td([run.get("planner"), html.Small(f"least {run['objective']}") if run.get("objective") else None]),
             html.Td(str(run.get("seed"))),
@@ -184,6 +209,11 @@ def _row(run: Mapping[str, Any]) -> html.Tr:
             html.Td(html.Div(buttons, className="wl-row")),
         ]
     )
+
+
+def picked(checked: Sequence[bool | None], ids: Sequence[Mapping[str, str]]) -> list[str]:
+    """Ids of the runs that are ticked in the catalogue, the oldest first."""
+    return sorted(one["run"] for one, on in zip(ids, checked, strict=True) if on)
 
 
 def all_runs(manager: RunManager) -> list[dict[str, Any]]:
@@ -216,6 +246,40 @@ def register(app: dash.Dash, manager: RunManager) -> None:
     )
     def changed(_: Any) -> Any:
         return catalogue(all_runs(manager))
+
+    beside = Comparisons(manager)
+
+    @app.callback(
+        Output(Replay.COMPARE, "disabled"),
+        Output(Replay.PICKED, "children"),
+        Input({"type": Replay.PICK, "run": ALL}, "checked"),
+        State({"type": Replay.PICK, "run": ALL}, "id"),
+        prevent_initial_call=True,
+    )
+    def pick(checked: list[bool | None], ids: list[dict[str, str]]) -> tuple[bool, str]:
+        runs = picked(checked, ids)
+        if not runs:
+            return True, PICK_SOME
+        try:
+            sides = beside.sides(runs)
+            reason = refusal(sides)
+        except WattlaneError as error:
+            reason, sides = str(error), []
+        if reason:
+            return True, f"{reason[0].upper()}{reason[1:]}."
+        named = [f"{letter} {label(one)}" for letter, one in zip(LETTERS, sides, strict=False)]
+        return False, f"{len(runs)} runs: {', '.join(named)}."
+
+    @app.callback(
+        Output(Shell.URL, "href", allow_duplicate=True),
+        Input(Replay.COMPARE, "n_clicks"),
+        State({"type": Replay.PICK, "run": ALL}, "checked"),
+        State({"type": Replay.PICK, "run": ALL}, "id"),
+        prevent_initial_call=True,
+    )
+    def compare(clicks: int | None, checked: list[bool | None], ids: list[dict[str, str]]) -> Any:
+        runs = picked(checked, ids)
+        return f"/compare?runs={','.join(runs)}" if clicks and runs else no_update
 
     @app.callback(
         Output(Replay.FORK_ERROR, "children"),

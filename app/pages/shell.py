@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 PAGES: tuple[str, ...] = (
     "app.pages.operate:PAGE",
     "app.pages.replay:PAGE",
+    "app.pages.compare:PAGE",
     "app.pages.learn:PAGE",
     "app.pages.papers:PAGE",
     "app.pages.scenarios:PAGE",

@@ -176,13 +176,25 @@ def side_panel(told: data.Told, asked: data.Asked, live: bool) -> Any:
         return html.P("Nothing is known of this place.", className="wl-hint")
     name = values["place_name"].get(place, f"place {place}")
     here = [r for r in fleet if r["place"] == place]
-    title, rows, extra = f"Cell {name}", [("Place", str(place))], []
+    title = values.get("place_title", f"cell {name}")
+    title, rows, extra = title[0].upper() + title[1:], [("Place", str(place)), *_arc(values.get("arc"))], []
     if chosen["kind"] == "charger":
         title = f"Charger {name}"
         rows, extra = _charger(told, place, live)
     elif chosen["kind"] == "station":
         title, rows = f"Station {name}", _station(told, chosen["id"])
     return place_panel(title, rows, here, place=place, blocked=place in values["blocked"], live=live, extra=extra)
+
+
+def _arc(known: dict[str, float] | None) -> list[tuple[str, Any]]:
+    """What is known of an arc of a network, over the last hour."""
+    if known is None:
+        return []
+    return [
+        ("Expected time", f"{known['expected_s']:.2f} s"),
+        ("Passages", f"{known['passages']:.0f} in the last hour"),
+        ("Occupied", f"{100 * known['occupancy']:.1f} % of it"),
+    ]
 
 
 def _charger(told: data.Told, place: int, live: bool) -> tuple[list[tuple[str, Any]], list[Any]]:

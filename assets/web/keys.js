@@ -33,9 +33,9 @@
       i: () => stage.toggleLayer("ids"),
       p: () => stage.toggleLayer("paths"),
       h: () => stage.toggleLayer("heat"),
-      r: () => stage.map.fit(),
-      "+": () => stage.map.zoom(1.25),
-      "-": () => stage.map.zoom(0.8),
+      r: () => stage.fit(),
+      "+": () => stage.zoom(1.25),
+      "-": () => stage.zoom(0.8),
       "/": () => stage.findBox.focus(),
     }[key.length === 1 ? key.toLowerCase() : key];
     if (!act || (event.ctrlKey && !/^Arrow(Left|Right)$/.test(key))) return;

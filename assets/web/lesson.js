@@ -10,7 +10,7 @@
   const SPEEDS = [1, 2, 5, 10, 25, 50, 100, 250];
   const ADDRESS_MS = 250, SLOW_MS = 1500;
 
-  wl.number = (value, digits = 0) => value.toLocaleString("en-US", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+  wl.number = (value, digits = 0) => value.toLocaleString("en-US", { minimumFractionDigits: digits, maximumFractionDigits: digits, signDisplay: "negative" });
   wl.joules = (mj) => `${wl.number(mj / 1000, 1)} J`;
 
   /** Columns of 32-bit integers as the server packs them. */
@@ -159,7 +159,7 @@
     begun() {}
 
     _markExample() {
-      const { step: _s, node: _n, time: _t, ...now } = this.state;
+      const { step: _s, node: _n, time: _t, show: _w, scale: _c, ...now } = this.state;
       let look = "";
       this.config.presets.forEach((preset, i) => {
         const keys = new Set([...Object.keys(now), ...Object.keys(preset.state)]);
@@ -180,19 +180,12 @@
       const slow = setTimeout(() => this.say("Planning … the first time the planners are compiled, which can take a minute."), SLOW_MS);
       this.stage.setAttribute("aria-busy", "true");
       try {
-        const { step: _, ...question } = this.state;
-        const answer = await wl.fetchJson(`/learn/${this.config.lesson}`, { method: "POST", body: JSON.stringify(question) });
+        const answer = await wl.fetchJson(`/learn/${this.config.lesson}`, { method: "POST", body: JSON.stringify(this.question()) });
         if (this.gone) return;
         this.problem("");
         this.say("");
-        // edited while it was on its way: what was drawn since stays, if the answer still fits it
-        const kept = this.again ? this.floor : null;
-        if (kept && (kept.width !== answer.width || kept.height !== answer.height)) return;
-        this.data = answer;
-        if (!kept && !/r\d+s\d+$/.test(this.state.map)) this.state.map = answer.map;
         const wanted = Number(this.state.step || 0);
-        this.floor = kept || { width: answer.width, height: answer.height, walls: Uint8Array.from(answer.walls, Number) };
-        this.take(answer, Boolean(kept));
+        if (!this.takeAll(answer)) return;
         this.player.step = wanted;
         this.player.length(this.steps());
         this.write();
@@ -207,6 +200,24 @@
           else { this.stage.removeAttribute("aria-busy"); this.stage.dataset.answers = String(turn); }
         }
       }
+    }
+
+    /** What the server is asked: the state without what only this page knows. */
+    question() {
+      const { step: _, ...question } = this.state;
+      return question;
+    }
+
+    /** Takes an answer with its floor; false when the floor has other sides by now. */
+    takeAll(answer) {
+      // edited while it was on its way: what was drawn since stays, if the answer still fits it
+      const kept = this.again ? this.floor : null;
+      if (kept && (kept.width !== answer.width || kept.height !== answer.height)) return false;
+      this.data = answer;
+      if (!kept && !/r\d+s\d+$/.test(this.state.map)) this.state.map = answer.map;
+      this.floor = kept || { width: answer.width, height: answer.height, walls: Uint8Array.from(answer.walls, Number) };
+      this.take(answer, Boolean(kept));
+      return true;
     }
 
     say(text) { this.player.note.textContent = text; }
@@ -244,6 +255,13 @@
 
     /** A titled group of controls. */
     group(title, ...children) { return el("section", { class: "wl-lesson-group" }, el("h2", {}, title), ...children); }
+
+    /** One that stands right below the stage on a narrow screen. */
+    early(title, ...children) {
+      const group = this.group(title, ...children);
+      group.classList.add("early");
+      return group;
+    }
 
     linkButton() { return el("button", { type: "button", class: "wl-button small", onclick: () => this.copyLink() }, "Copy link"); }
 

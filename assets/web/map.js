@@ -8,6 +8,7 @@
   const VEHICLE_SHARE = 0.78;    // of a cell's side
   const NETWORK_SHARE = 0.42;    // of the mean arc, so that two pass each other
   const LEAST_PX = 7;
+  const LABEL_FROM_PX = 6;       // a station's name in smaller letters would lie over the next
   const NUMBER_FROM_PX = 15;     // a vehicle narrower than this shows no number
   const SUBPIXEL_BELOW = 250;    // larger fleets snap to whole pixels: half the drawing time
   const LONG_PRESS_MS = 550;
@@ -67,6 +68,8 @@
       this.chargerAt = new Map((floor.chargers || []).map((c) => [c.place, c]));
       this.parkingAt = new Map((floor.parking || []).map((p) => [p.place, p]));
       this.oneWayAt = new Map((floor.one_way || []).map((o) => [o.place, o]));
+      this.laneAt = new Map((floor.lanes || []).map((l) => [l.place, l]));
+      this.arcs = null;
       this._resize();
       this.fit();
     }
@@ -120,7 +123,17 @@
     }
 
     /** values: one number per place, or null. */
-    setHeat(values) { this.heat = values; this._stale(); }
+    setHeat(values) {
+      this.heat = values;
+      if (values) this.heatEnds = this._heatEnds();
+      this._stale();
+    }
+
+    /** arcs: by place `expected_s`, `passages` and `occupancy`, told of the lane that is pointed at. */
+    setArcs(arcs) {
+      this.arcs = arcs;
+      if (!this.tip.hidden && this.pointed) this._hover(...this.pointed);
+    }
 
     /** The newest frame. What is on the screen now moves to it within the usual gap between two frames. */
     push(frame, snap = false) {
@@ -245,7 +258,11 @@
       }
     }
 
-    _moved() { this.fitted = false; this._stale(); }
+    _moved() {
+      this.fitted = false;
+      this._stale();
+      if (this.hooks.zoomed) this.hooks.zoomed();
+    }
 
     _resize() {
       const box = this.host.getBoundingClientRect();
@@ -391,17 +408,18 @@
         const [sx, sy] = this.toScreen(item.x, item.y);
         ctx.font = `600 ${Math.round(Math.min(15, Math.max(8, cell * size)))}px system-ui, sans-serif`;
         if (this.layers.heat && this.heat) {
+          const plain = this.network && !(this.heat[item.place] > 0);   // a node without heat keeps its colour
           ctx.lineWidth = 3;
-          ctx.strokeStyle = palette.surface;
+          ctx.strokeStyle = plain ? wl.network.colourOf(palette, item.kind) : palette.surface;
           ctx.strokeText(item.name, sx, sy);
-          colour = palette.text;
+          if (!plain) colour = palette.text;
         }
         ctx.fillStyle = colour;
         ctx.fillText(item.name, sx, sy);
       };
       if (cell >= 15) {
         const size = this.network ? 0.19 : 0.36;
-        for (const station of floor.stations || []) if (inside(station) && cell * size >= 5) text(station, size, palette.label);
+        for (const station of floor.stations || []) if (inside(station) && cell * size >= LABEL_FROM_PX) text(station, size, palette.label);
         for (const spot of this.network ? [] : floor.parking || []) if (inside(spot)) text(spot, 0.3, palette.label);
       }
       for (const charger of floor.chargers || []) {
@@ -419,7 +437,7 @@
       ctx.lineWidth = Math.max(1, cell * 0.08);
       for (const place of this.blocked) {
         if (!floor.places[place]) continue;
-        const [sx, sy] = this.toScreen(...floor.places[place]), h = cell / 2;
+        const [sx, sy] = this.toScreen(...floor.places[place]), h = (this._markSize() * this.view.scale) / 2;
         ctx.save();
         ctx.beginPath();
         ctx.rect(sx - h, sy - h, cell, cell);
@@ -439,16 +457,11 @@
       image.width = floor.width;
       image.height = floor.height;
       const pixels = image.getContext("2d").createImageData(floor.width, floor.height);
-      const most = this.heatTop();
-      if (most > 0) {
-        const scale = this.layers.log ? (v) => Math.log1p(Math.min(1, v / most) * 999) / Math.log(1000) : (v) => v / most;
-        floor.places.forEach(([x, y], place) => {
-          const value = heat[place];
-          if (!(value > 0)) return;
-          const column = Math.floor(x / floor.cell_m), row = floor.height - 1 - Math.floor(y / floor.cell_m);
-          pixels.data.set([...wl.marks.viridis(scale(value)), 225], (row * floor.width + column) * 4);
-        });
-      }
+      floor.places.forEach(([x, y], place) => {
+        if (!(heat[place] > 0)) return;
+        const column = Math.floor(x / floor.cell_m), row = floor.height - 1 - Math.floor(y / floor.cell_m);
+        pixels.data.set([...wl.marks.viridis(this._heatShare(heat[place])), 225], (row * floor.width + column) * 4);
+      });
       image.getContext("2d").putImageData(pixels, 0, 0);
       const [px, py] = this.toScreen(0, this.heightM);
       ctx.imageSmoothingEnabled = false;
@@ -456,16 +469,36 @@
       ctx.imageSmoothingEnabled = true;
     }
 
-    /** The largest value in the aisles: chargers and parking, where vehicles stand for hours, would drown the rest. */
-    heatTop() {
-      let aisles = 0, all = 0;
+    /** Ends of the scale. At the top the largest value in the aisles: chargers and parking, where vehicles stand for
+     *  hours, would drown the rest. Expected times begin at the least of them: no arc takes nothing. */
+    _heatEnds() {
+      let aisles = 0, all = 0, least = Infinity;
       for (let place = 0; place < this.heat.length; place++) {
         const value = this.heat[place];
         if (value > all) all = value;
+        if (value > 0 && value < least) least = value;
         if (value > aisles && !this.chargerAt.has(place) && !this.parkingAt.has(place) && !this.stationAt.has(place)) aisles = value;
       }
-      return aisles || all;
+      return this.layers.heat === "expected" ? [Math.min(least, all), all] : [0, aisles || all];
     }
+
+    _heatShare(value) {
+      const [low, top] = this.heatEnds, share = top > low ? Math.min(1, (value - low) / (top - low)) : 0;
+      return this.layers.log ? Math.log1p(share * 999) / Math.log(1000) : share;
+    }
+
+    /** One scale for several maps: the widest ends of their heat, and the largest power. */
+    static share(maps) {
+      const hot = maps.filter((map) => map.heat), ends = hot.map((map) => map._heatEnds());
+      for (const map of hot) {
+        map.heatEnds = [Math.min(...ends.map(([low]) => low)), Math.max(...ends.map(([, top]) => top))];
+        map._stale();
+      }
+      const most = Math.max(...maps.map((map) => map.powerTop));
+      for (const map of maps) { map.powerTop = most; map._wake(); }
+    }
+
+    heatColour(place) { return `rgb(${wl.marks.viridis(this._heatShare(this.heat[place])).join(",")})`; }
 
     _drawPaths(ctx) {
       const chosen = this.selection && this.selection.kind === "vehicle" ? this.selection.id : -1;
@@ -595,16 +628,19 @@
       if (chosen.kind === "vehicle" && chosen.id < this.n) {
         ctx.arc(ox + this.nowX[chosen.id] * scale, oy - this.nowY[chosen.id] * scale, size * 0.92, 0, 2 * Math.PI);
       } else if (chosen.place !== undefined && this.floor.places[chosen.place]) {
-        const [x, y] = this.floor.places[chosen.place], c = this.floor.cell_m * scale;
+        const [x, y] = this.floor.places[chosen.place], c = this._markSize() * scale;
         ctx.rect(ox + x * scale - c / 2, oy - y * scale - c / 2, c, c);
       }
       ctx.stroke();
     }
 
+    /** Side of the square round a place, in metres. */
+    _markSize() { return this.floor.cell_m * (this.network ? NETWORK_SHARE : 1); }
+
     _drawSend(ctx) {
       const target = this.sendAt;
       if (target === undefined || !this.floor.places[target]) return;
-      const [sx, sy] = this.placeScreen(target), c = this.floor.cell_m * this.view.scale * this.dpr;
+      const [sx, sy] = this.placeScreen(target), c = this._markSize() * this.view.scale * this.dpr;
       ctx.setTransform(1, 0, 0, 1, 0, 0);
       ctx.strokeStyle = this.palette.select;
       ctx.setLineDash([6 * this.dpr, 4 * this.dpr]);
@@ -717,6 +753,8 @@
         if (place !== this.sendAt) { this.sendAt = place; this._wake(); }
       }
       const target = this.pick(px, py);
+      this.pointed = [px, py];
+      this.onArc = !!target && this.laneAt.has(target.place);
       this.canvas.classList.toggle("over", !!target && target.kind !== "place" && !this.sendMode);
       if (!target) { this._hideTip(); return; }
       this.tip.textContent = this.describe(target);
@@ -726,9 +764,10 @@
       this.tip.style.top = `${py + 18 + high > this.cssH ? py - high - 10 : py + 18}px`;
     }
 
-    _hideTip() { this.tip.hidden = true; }
+    _hideTip() { this.tip.hidden = true; this.onArc = false; }
 
     cellName(place) {
+      if (this.network) return wl.network.name(this, place);
       const [x, y] = this.floor.places[place];
       return `(${Math.floor(x / this.floor.cell_m)}, ${Math.floor(y / this.floor.cell_m)})`;
     }
@@ -744,22 +783,30 @@
         if (frame.flags[i] & LOADED) parts.push("loaded");
         return parts.join(" · ");
       }
-      const parts = [];
+      const parts = [], lane = this.laneAt.get(target.place);
       const station = this.stationAt.get(target.place), charger = this.chargerAt.get(target.place), spot = this.parkingAt.get(target.place);
       const way = this.oneWayAt.get(target.place);
       if (station) parts.push(`${station.kind} ${station.name} · station ${station.number}`);
       if (charger) parts.push(`charger ${charger.name}${this.chargersOut.has(charger.place) ? " · out of order" : ""}`);
-      if (spot) parts.push(`parking ${spot.name}`);
-      if (!parts.length) parts.push(way ? "one-way aisle" : "aisle");
-      parts.push(`${this.cellName(target.place)} · place ${target.place}`);
+      if (lane) parts.push(`${lane.kerb ? "kerb" : "lane"} ${this.cellName(target.place)}`);
+      else if (spot) parts.push(`parking ${spot.name}`);
+      if (!parts.length) parts.push(this.network ? "node" : way ? "one-way aisle" : "aisle");
+      if (lane && this.arcs) parts.push(...wl.network.facts(this.arcs, target.place, this.layers.window));
+      else if (!lane) parts.push(`${this.cellName(target.place)} · place ${target.place}`);
       if (this.blocked.has(target.place)) parts.push("blocked");
-      if (this.layers.heat && this.heat) parts.push(`${this.layers.heat} ${wl.heatText(this.layers.heat, this.heat[target.place])}`);
+      const told = lane && this.arcs && ["expected", "occupancy"].includes(this.layers.heat);
+      if (this.layers.heat && this.heat && !told && !(this.layers.heat === "expected" && !this.heat[target.place])) {
+        parts.push(`${wl.HEATS[this.layers.heat]} ${wl.heatText(this.layers.heat, this.heat[target.place])}`);
+      }
       return parts.join(" · ");
     }
   };
 
+  wl.HEATS = { "": "no heat map", occupancy: "occupancy", waiting: "waiting", energy: "energy", expected: "expected time" };
+
   wl.heatText = (kind, value) => {
     if (!(value > 0)) return "0";
+    if (kind === "expected") return `${value.toFixed(2)} s`;
     if (kind === "energy") return value >= 1e6 ? `${(value / 1e6).toFixed(2)} MJ` : value >= 1e3 ? `${(value / 1e3).toFixed(1)} kJ` : `${value.toFixed(0)} J`;
     if (kind === "occupancy" && value <= 1) return `${(100 * value).toFixed(1)} %`;
     return wl.span(value);
@@ -768,7 +815,7 @@
   wl.COLOURINGS = COLOURINGS;
 
   /** The legend of a map, drawn with the map's own marks. */
-  wl.legend = (host, { palette, layers, powerTop }) => {
+  wl.legend = (host, { palette, layers, powerTop, network, chargerAt }) => {
     const dpr = Math.min(3, window.devicePixelRatio || 1), px = 20;
     const mark = (draw) => {
       const canvas = el("canvas", { width: px * dpr, height: px * dpr, "aria-hidden": "true" });
@@ -792,8 +839,10 @@
       thesis: [[{}, "empty"], [{ flags: LOADED }, "loaded"], [{ flags: LOW }, "low"], [{ state: 5 }, "charged to 50 %"], [{ state: 6 }, "fault"]],
     };
     const rows = looks[layers.colour].map(([look, word]) => [vehicle(look), word]);
+    if (network) rows.push(...wl.network.marks(palette).map(([draw, word]) => [mark(draw), word]));
+    if (!network || chargerAt.size) rows.push(
+      [mark((ctx, x, y) => { ctx.fillStyle = palette.charger; wl.marks.roundRect(ctx, x - 8, y - 8, 16, 16, 2); ctx.fill(); wl.marks.bolt(ctx, x, y, 12, palette.bolt, null); }), "charger"]);
     rows.push(
-      [mark((ctx, x, y) => { ctx.fillStyle = palette.charger; wl.marks.roundRect(ctx, x - 8, y - 8, 16, 16, 2); ctx.fill(); wl.marks.bolt(ctx, x, y, 12, palette.bolt, null); }), "charger"],
       [mark((ctx, x, y) => { ctx.strokeStyle = palette.blocked; ctx.lineWidth = 1.5; ctx.beginPath(); ctx.rect(x - 8, y - 8, 16, 16); ctx.clip(); for (let d = -16; d <= 16; d += 4) { ctx.moveTo(x - 8 + d, y + 8); ctx.lineTo(x + 8 + d, y - 8); } ctx.rect(x - 8, y - 8, 16, 16); ctx.stroke(); }), "blocked"],
       [mark((ctx, x, y) => { ctx.strokeStyle = palette.route; ctx.lineCap = "round"; ctx.lineWidth = 4; ctx.globalAlpha = 0.7; ctx.beginPath(); ctx.moveTo(x - 10, y); ctx.lineTo(x - 1, y); ctx.stroke(); ctx.globalAlpha = 1; ctx.lineWidth = 1.4; ctx.beginPath(); ctx.moveTo(x - 10, y); ctx.lineTo(x + 10, y); ctx.stroke(); }), "route: reserved, planned"]);
     host.replaceChildren(...rows.map(([canvas, word]) => el("span", { class: "wl-legend-row" }, canvas, word)));

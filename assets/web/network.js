@@ -5,6 +5,7 @@
   const LANE_SHARE = 0.1;        // width of a lane, of the mean arc
   const NODE_SHARE = 0.34;       // side of a node
   const ARROWS_FROM_PX = 26;     // a shorter arc has no arrowheads
+  const HEAT_WIDER = 1.8;
 
   const lineOf = (map, lane) => {
     // the lane's own place lies beside the arc's middle: that gives the side on which it is drawn
@@ -36,13 +37,7 @@
     stroke(map, ctx, floor.lanes.filter((lane) => lane.kerb), width, palette.parking);
     ctx.setLineDash([]);
     if (layers.heat && heat) {
-      const most = map.heatTop();
-      const scale = layers.log ? (v) => Math.log1p(Math.min(1, v / most) * 999) / Math.log(1000) : (v) => Math.min(1, v / most);
-      for (const lane of floor.lanes) {
-        if (!(heat[lane.place] > 0)) continue;
-        const [r, g, b] = wl.marks.viridis(scale(heat[lane.place]));
-        stroke(map, ctx, [lane], width * 1.5, `rgb(${r},${g},${b})`);
-      }
+      for (const lane of floor.lanes) if (heat[lane.place] > 0) stroke(map, ctx, [lane], width * HEAT_WIDER, map.heatColour(lane.place));
     }
     if (cell >= ARROWS_FROM_PX) drawArrows(map, ctx, cell);
     drawNodes(map, ctx, cell);
@@ -65,12 +60,18 @@
     ctx.stroke();
   };
 
+  const colourOf = (palette, kind) =>
+    ({ entrance: palette.inbound, inbound: palette.inbound, outbound: palette.outbound, rack: palette.rack })[kind] || palette.shelf;
+
   const drawNodes = (map, ctx, cell) => {
-    const { floor, palette } = map, side = Math.max(2, cell * NODE_SHARE);
-    const fill = { entrance: palette.inbound, inbound: palette.inbound, outbound: palette.outbound, rack: palette.rack };
+    const { floor, palette, heat, layers } = map, side = Math.max(2, cell * NODE_SHARE);
     for (const node of floor.nodes) {
       const [x, y] = map.toScreen(...floor.places[node.place]);
-      ctx.fillStyle = fill[node.kind] || palette.shelf;
+      ctx.fillStyle = colourOf(palette, node.kind);
+      wl.marks.roundRect(ctx, x - side / 2, y - side / 2, side, side, side * 0.2);
+      ctx.fill();
+      if (!layers.heat || !heat || !(heat[node.place] > 0)) continue;
+      ctx.fillStyle = map.heatColour(node.place);
       wl.marks.roundRect(ctx, x - side / 2, y - side / 2, side, side, side * 0.2);
       ctx.fill();
     }
@@ -86,5 +87,33 @@
     return best;
   };
 
-  wl.network = { draw, pick };
+  /** What a person calls a place: a lane by its ends, `E1→N17`, a node by its station. */
+  const name = (map, place) => {
+    const lane = map.laneAt.get(place);
+    if (lane) return `${name(map, lane.from)}→${name(map, lane.to)}`;
+    const station = map.stationAt.get(place);
+    return station ? station.name : map.floor.nodes[place].name;
+  };
+
+  const PERIODS = { 600: "in the last 10 min", 3600: "in the last hour", 28800: "in the last 8 h", 0: "so far" };
+
+  /** What is known of an arc, `arcs` as the server tells them: expected time, passages and share of the time occupied. */
+  const facts = (arcs, place, window) => [`expected ${wl.heatText("expected", arcs.expected_s[place])}`,
+    `${wl.number(arcs.passages[place])} passage${arcs.passages[place] === 1 ? "" : "s"} ${PERIODS[window] || `in the last ${wl.span(window)}`}`,
+    `occupied ${(100 * arcs.occupancy[place]).toFixed(1)} % of the time`];
+
+  /** The marks of a network in the legend: [draw on a small canvas, word]. */
+  const marks = (palette) => {
+    const line = (colour, dash) => (ctx, x, y) => {
+      ctx.strokeStyle = colour;
+      ctx.lineWidth = 4;
+      ctx.setLineDash(dash);
+      ctx.beginPath(); ctx.moveTo(x - 10, y); ctx.lineTo(x + 10, y); ctx.stroke();
+    };
+    const node = (colour) => (ctx, x, y) => { ctx.fillStyle = colour; wl.marks.roundRect(ctx, x - 7, y - 7, 14, 14, 3); ctx.fill(); };
+    return [[line(palette.arrow, []), "lane"], [line(palette.parking, [4, 3]), "kerb: a lane to rest on"],
+      [node(palette.inbound), "entrance"], [node(palette.rack), "node"]];
+  };
+
+  wl.network = { draw, pick, name, facts, marks, colourOf };
 })();

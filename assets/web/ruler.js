@@ -54,7 +54,19 @@
         ctx.fillText(wl.clock(t).replace(/^00:/, ""), x(t), 2);
       }
       const hues = [colour("--wl-muted"), colour("--wl-map-low"), colour("--wl-map-blocked")];
+      // a mark with a name is drawn as a flag, its name beside it where there is room
+      const pin = ({ t, label }) => {
+        const at = x(t), right = at + ctx.measureText(label).width + 14 < wide;
+        ctx.fillStyle = colour("--wl-map-select");
+        ctx.fillRect(at - 1, 17, 2, HIGH - 17);
+        ctx.beginPath();
+        ctx.moveTo(at, 24); ctx.lineTo(at + (right ? 8 : -8), 28); ctx.lineTo(at, 32); ctx.closePath();
+        ctx.fill();
+        ctx.textAlign = right ? "left" : "right";
+        ctx.fillText(label, at + (right ? 11 : -11), 24);
+      };
       for (const mark of this.marks || []) {
+        if (mark.label) { pin(mark); continue; }
         ctx.fillStyle = hues[Math.min(2, Math.max(0, mark.level || 0))];
         ctx.fillRect(Math.round(x(mark.t)), 25, 2, mark.level ? 8 : 5);
       }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -40,12 +41,8 @@ class View2D:
         return out
 
 
-def log_floor(recording: rr.RecordingStream, world: World, view: View2D) -> None:
-    """Floor, stations, chargers, parking and one-way arrows."""
-
-    def static(path: str, *what: Any) -> None:
-        recording.log(path, *what, static=True, strict=True)
-
+def log_floor(static: Callable[..., None], world: World, view: View2D) -> None:
+    """Floor, stations, chargers, parking and one-way arrows. static(path, *archetypes) logs what never changes."""
     static(looks.MAP, looks.class_names())
     xy = view.xy(world.graph.xy_m)
     if isinstance(world, GridWorld):

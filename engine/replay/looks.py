@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import rerun as rr
@@ -32,6 +33,7 @@ SOC_SPREAD = "battery/spread"
 ACTIVITY = "fleet/activity"
 ENERGY = "energy"
 ORDERS = "orders"
+TOTALS = "totals"
 EVENTS = "events"
 COMMANDS = "events/commands"
 
@@ -94,6 +96,10 @@ COMPONENT_COLOURS: dict[str, RGBA] = {
 
 CHARGING = ("charged", "charger_loss")
 """Components that charging adds, on a chart of their own: they dwarf the others."""
+
+TOTAL_WORDS: dict[str, str] = {"orders_done": "Orders done", "energy_j": "Energy drawn [J]", "waiting_s": "Waiting [s]"}
+"""What a run has come to, as `RunView.progress` tells it, for runs beside each other."""
+RUN_COLOURS: tuple[RGBA, ...] = ((91, 192, 222, 255), (255, 159, 67, 255), (126, 211, 120, 255), (238, 120, 170, 255))
 
 # Twelve hues that stay apart on a dark ground.
 PALETTE: tuple[RGBA, ...] = (
@@ -160,15 +166,7 @@ def _whole_run() -> rrb.TimeAxis:
 
 def blueprint(*, width_m: float, height_m: float, vehicles: int) -> Any:
     """Map and state lanes left, charts and events right, time panel on simulated time, playing."""
-    edge = 0.03 * max(width_m, height_m)
-    floor = rrb.Spatial2DView(
-        origin=MAP,
-        name="Floor",
-        background=rrb.Background(color=BACKGROUND),
-        # The routes of a large fleet hide the floor; the eye beside their name shows them.
-        overrides={} if vehicles <= FEW else {ROUTES: rrb.EntityBehavior(visible=False)},
-        visual_bounds=rrb.VisualBounds2D(x_range=[-edge, width_m + edge], y_range=[-edge, height_m + edge]),
-    )
+    floor = _floor("Floor", "", width_m, height_m, vehicles)
     soc_lines = f"+ {SOC}" if vehicles <= FEW else f"+ {SOC_SPREAD}"
     soc = rrb.TimeSeriesView(
         origin="battery",
@@ -216,10 +214,56 @@ def blueprint(*, width_m: float, height_m: float, vehicles: int) -> Any:
             rrb.Vertical(soc, charts, log, row_shares=[1, 1, 1]),
             column_shares=[5, 3],
         ),
-        rrb.TimePanel(
-            timeline="sim_time", state="collapsed", playback_speed=10.0, play_state="playing", loop_mode="off"
-        ),
+        _time_panel(),
         auto_views=False,
         auto_layout=False,
         collapse_panels=True,
+    )
+
+
+def blueprint_beside(names: Mapping[str, str], *, width_m: float, height_m: float, vehicles: int) -> Any:
+    """The floors of several runs beside each other, below them what each comes to. names: by root, such as "A"."""
+    floors = [_floor(name, root, width_m, height_m, vehicles) for root, name in names.items()]
+    totals = [
+        rrb.TimeSeriesView(
+            origin="/",
+            contents=[f"+ /{root}/{TOTALS}/{total}" for root in names],
+            name=text,
+            axis_x=_whole_run(),
+            plot_legend=rrb.PlotLegend("LeftTop"),
+        )
+        for total, text in TOTAL_WORDS.items()
+    ]
+    log = rrb.TextLogView(
+        origin="/",
+        contents=[f"+ /{root}/{EVENTS}/**" for root in names],
+        name="Events",
+        columns=rrb.TextLogColumns(timeline_columns=["sim_time"], text_log_columns=["EntityPath", "LogLevel", "Body"]),
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(rrb.Grid(*floors, grid_columns=2), rrb.Horizontal(*totals, log), row_shares=[5, 2]),
+        _time_panel(),
+        auto_views=False,
+        auto_layout=False,
+        collapse_panels=True,
+    )
+
+
+def _floor(name: str, root: str, width_m: float, height_m: float, vehicles: int) -> Any:
+    """The map of a run whose entities stand below a root."""
+    below = f"/{root}/" if root else "/"
+    edge = 0.03 * max(width_m, height_m)
+    return rrb.Spatial2DView(
+        origin=f"{below}{MAP}",
+        name=name,
+        background=rrb.Background(color=BACKGROUND),
+        # The routes of a large fleet hide the floor; the eye beside their name shows them.
+        overrides={} if vehicles <= FEW else {f"{below}{ROUTES}": rrb.EntityBehavior(visible=False)},
+        visual_bounds=rrb.VisualBounds2D(x_range=[-edge, width_m + edge], y_range=[-edge, height_m + edge]),
+    )
+
+
+def _time_panel() -> Any:
+    return rrb.TimePanel(
+        timeline="sim_time", state="collapsed", playback_speed=10.0, play_state="playing", loop_mode="off"
     )

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from engine.errors import RunError
+from engine.replay import looks
+from engine.replay.floor_map import View2D
 from engine.replay.recorder import RerunRecorder
+from engine.replay.recording import Part, Recording
 from engine.results.runlog import Log
 from engine.results.schema import LIST, TABLES
+from engine.results.view import RunView
 from engine.scenario.model import Scenario
 from engine.world.floor import World
 
+TOTAL_POINTS = 2000
+"""Points of each curve of runs beside each other."""
 SLICE_ROWS = 400_000
 """Motion rows that are fed at a time, at most as many more as lie between two keyframes."""
 
@@ -29,11 +37,58 @@ def rebuild(
     A log cut off by a kill is recorded up to its newest keyframe. Returns the recorder's note for the manifest.
     Raises RunError when the file can't be written; an existing one is then left as it was.
     """
-    path = Path(path)
+    with (
+        _replacing(Path(path)) as part,
+        RerunRecorder(part, scenario, world, run_id=run_id, sample_s=sample_s) as recorder,
+    ):
+        feed(recorder, log)
+    return recorder.note()
+
+
+def rebuild_beside(
+    views: Mapping[str, RunView], names: Mapping[str, str], path: Path | str, *, sample_s: float = 1.0
+) -> None:
+    """Write runs of one floor beside each other to `path`: each below its root, such as /A, all on one timeline.
+
+    names: what a person calls each root's run. Raises RunError when the file can't be written.
+    """
+    first = next(iter(views.values()))
+    floor = View2D(first.world)
+    blueprint = looks.blueprint_beside(names, width_m=floor.width_m, height_m=floor.height_m, vehicles=first.n)
+    title = f"{first.scenario.title} · {' · '.join(names.values())}"
+    with _replacing(Path(path)) as part:
+        recording = Recording(part, f"beside-{Path(path).stem}", title, blueprint)
+        try:
+            runs = [
+                RerunRecorder(recording, view.scenario, view.world, run_id=root, sample_s=sample_s, root=root)
+                for root, view in views.items()
+            ]
+            for (root, view), colour in zip(views.items(), looks.RUN_COLOURS, strict=False):
+                _send_totals(recording.part(root, view.tick_s), view, names[root], colour)
+            recording.flush()  # a viewer draws every floor and curve before the fleets have come
+            for run, view in zip(runs, views.values(), strict=True):
+                with run:
+                    feed(run, view.reader)
+        finally:
+            recording.close()
+
+
+def _send_totals(part: Part, view: RunView, name: str, colour: looks.RGBA) -> None:
+    """What a run has come to, as curves in its own colour."""
+    ticks = np.unique(np.linspace(view.first_tick, view.t_end, TOTAL_POINTS).astype(np.int64))
+    progress = view.progress(ticks)
+    for total in looks.TOTAL_WORDS:
+        path = f"{looks.TOTALS}/{total}"
+        part.static(path, rr.SeriesLines(names=name, colors=colour, widths=1.5))
+        part.send(path, ticks, rr.Scalars.columns(scalars=np.asarray(progress[total], np.float64)))
+
+
+@contextlib.contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A file beside `path` that takes its place once it is whole."""
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
-        with RerunRecorder(part, scenario, world, run_id=run_id, sample_s=sample_s) as recorder:
-            feed(recorder, log)
+        yield part
         try:
             part.replace(path)
         except OSError as error:
@@ -41,7 +96,6 @@ def rebuild(
     finally:
         with contextlib.suppress(OSError):
             part.unlink()
-    return recorder.note()
 
 
 def feed(recorder: RerunRecorder, log: Log, *, whole: bool = False) -> None:

@@ -8,7 +8,7 @@ its route only. Positions are sampled; everything else is sent when it changes. 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,8 @@ from engine.energy import battery_of
 from engine.errors import RunError
 from engine.replay import looks
 from engine.replay.floor_map import View2D, log_floor
+from engine.replay.recording import Recording
 from engine.replay.sampler import HeldPlaces, MotionSampler, StepSampler, Window, flatten
-from engine.replay.sink import FileSink, is_finished
 from engine.replay.tallies import DONE, GROUPS, OPEN, RATE, OrderCounts, Shares
 from engine.results.runlog import checked
 from engine.results.schema import ENERGY_COLUMNS
@@ -32,7 +32,6 @@ from engine.world.floor import World
 
 I64 = NDArray[np.int64]
 
-APPLICATION = "wattlane"
 BATCH_CELLS = 1 << 18
 """Vehicle samples per chunk, so that a chunk stays near 3 MB."""
 FIRST_BATCH, LAST_BATCH = 32, 4096
@@ -55,13 +54,22 @@ class RerunRecorder:
 
     A batch of `keyframes` says that all rows before its tick were written. Positions lie `sample_s` apart, rounded to
     whole ticks; each COARSER_AFTER vehicle samples the step doubles. Raises RunError when the file can't be written.
+    `path` may be a Recording that several runs share: then this run's entities stand below `root`, its curves are
+    named after it, and whoever made the file finishes it.
     """
 
     def __init__(
-        self, path: Path | str, scenario: Scenario, world: World, *, run_id: str, sample_s: float = 1.0
+        self,
+        path: Path | str | Recording,
+        scenario: Scenario,
+        world: World,
+        *,
+        run_id: str,
+        sample_s: float = 1.0,
+        root: str = "",
     ) -> None:
-        self.path = Path(path)
         self.closed = False
+        self._root = root
         self._world, self._scenario = world, scenario
         self._n = n = int(scenario.fleet.count)
         self._tick_s = float(scenario.time.tick_s)
@@ -88,15 +96,19 @@ class RerunRecorder:
         self._lane = np.full(n, -1, np.int64)
         self._blocked: dict[int, None] = {}
         self._clear_at = np.full(n, FOREVER, np.int64)
-        self._times: tuple[I64, tuple[Any, ...]] = (np.zeros(0, np.int64), ())
-        self._open(run_id)
+        self._shared = isinstance(path, Recording)
+        self._file = path if isinstance(path, Recording) else self._new_file(path, run_id)
+        self._part = self._file.part(root, self._tick_s)
+        self._send = self._part.send
+        log_floor(self._part.static, self._world, self._view)
+        self._log_styles()
 
     # ---------------------------------------------------------------------------------------------- recorder
 
     def write(self, table: str, columns: Mapping[str, Any]) -> None:
         """Take rows of one table of the schema. Arrays are copied."""
         if self.closed:
-            raise RunError(f"the recording {self.path.name} is closed")
+            raise RunError(f"the recording {self._file.path.name} is closed")
         rows, count = checked(table, columns)
         if not count:
             return
@@ -142,10 +154,8 @@ class RerunRecorder:
             self._tick_end = max(self._tick_end, self._motions.t_end)
             self._emit(self._tick_end + 1, last=True)
         finally:
-            self._recording.disconnect()
-            self._sink.finish()
-        if not is_finished(self.path):
-            raise RunError(f"the recording {self.path} could not be finished")
+            if not self._shared:
+                self._file.close()
 
     def __enter__(self) -> RerunRecorder:
         return self
@@ -159,30 +169,15 @@ class RerunRecorder:
 
     # ---------------------------------------------------------------------------------------------- the file
 
-    def _open(self, run_id: str) -> None:
-        self._recording = rr.RecordingStream(APPLICATION, recording_id=run_id)
-        if not rr.is_enabled(self._recording):
-            raise RunError(f"the recording {self.path.name} can't be written: RERUN=off turns recording off")
-        self._sink = FileSink(self.path)
-        self._recording.save(self._sink.address)
-        self._sink.opened()
-        view, n = self._view, self._n
-        self._recording.send_recording_name(f"{self._scenario.title} · {run_id}")
-        self._recording.send_blueprint(
-            looks.blueprint(width_m=view.width_m, height_m=view.height_m, vehicles=n),
-            make_active=True,
-            make_default=True,
-        )
-        log_floor(self._recording, self._world, view)
-        self._log_styles()
+    def _new_file(self, path: Path | str, run_id: str) -> Recording:
+        view = self._view
+        blueprint = looks.blueprint(width_m=view.width_m, height_m=view.height_m, vehicles=self._n)
+        return Recording(path, run_id, f"{self._scenario.title} · {run_id}", blueprint)
 
     def _log_styles(self) -> None:
         """Names, colours and sizes that hold for the whole recording."""
         n, cell = self._n, self._view.cell_m
-
-        def static(path: str, *what: Any) -> None:
-            self._recording.log(path, *what, static=True, strict=True)
-
+        static = self._part.static
         names = [looks.vehicle_name(v) for v in range(n)]
         colours = [looks.vehicle_colour(v) for v in range(n)]
         # A negative radius is one on the screen.
@@ -214,9 +209,11 @@ class RerunRecorder:
             ),
         )
         share_colours = [looks.STATES[states[0]][1] for states in GROUPS.values()]
-        static(looks.ACTIVITY, rr.SeriesLines(names=list(GROUPS), colors=share_colours, widths=1.5))
+        static(looks.ACTIVITY, rr.SeriesLines(names=[self._named(g) for g in GROUPS], colors=share_colours, widths=1.5))
         for name in COMPONENTS:
-            line = rr.SeriesLines(names=name.replace("_", " "), colors=looks.COMPONENT_COLOURS[name], widths=1.5)
+            line = rr.SeriesLines(
+                names=self._named(name.replace("_", " ")), colors=looks.COMPONENT_COLOURS[name], widths=1.5
+            )
             static(f"{looks.ENERGY}/{name}", line)
         for name, colour in looks.LEVELS.items():
             static(
@@ -227,7 +224,9 @@ class RerunRecorder:
             (f"{looks.ORDERS}/{OPEN}", "orders open", (240, 136, 62, 255)),
             (f"{looks.ORDERS}/{RATE}", "orders per hour", (91, 192, 222, 255)),
         ):
-            static(path, rr.SeriesLines(names=text, colors=colour, widths=1.5, interpolation_mode="StepAfter"))
+            static(
+                path, rr.SeriesLines(names=self._named(text), colors=colour, widths=1.5, interpolation_mode="StepAfter")
+            )
         words = [name for name, _ in looks.STATES.values()]
         lane = rr.StateConfiguration(values=words, labels=words, colors=[colour for _, colour in looks.STATES.values()])
         for vehicle in range(n):
@@ -239,19 +238,8 @@ class RerunRecorder:
                 ),
             )
 
-    def _send(self, path: str, ticks: I64, *columns: Iterable[Any]) -> None:
-        """Send component columns at ticks; nothing when there are none."""
-        if len(ticks):
-            # Several entities in turn are sent at the same ticks.
-            if ticks is not self._times[0]:
-                duration = _nanoseconds(ticks, self._tick_s)
-                self._times = (
-                    ticks,
-                    (rr.TimeColumn("tick", sequence=ticks), rr.TimeColumn("sim_time", duration=duration)),
-                )
-            times = self._times[1]
-            flat = [column for part in columns for column in part]
-            self._recording.send_columns(path, times, flat, strict=True)
+    def _named(self, curve: str) -> str:
+        return f"{self._root} {curve}" if self._root else curve
 
     # ---------------------------------------------------------------------------------------------- batches
 
@@ -279,8 +267,7 @@ class RerunRecorder:
                 self._next = -(-self._next // self._step) * self._step
         self._batch = min(2 * self._batch, self._max_batch)
         self._send_rows(until, last=last)
-        self._recording.flush()
-        self._sink.check()
+        self._file.flush()
 
     def _send_samples(self, window: Window, *, last: bool) -> None:
         poses = self._motions.take(window, last=last)
@@ -491,8 +478,3 @@ def _by_vehicle(vehicle: I64) -> list[tuple[int, I64]]:
     order = np.argsort(vehicle, kind="stable")
     edges = np.flatnonzero(np.diff(vehicle[order])) + 1
     return [(int(vehicle[rows[0]]), rows) for rows in np.split(order, edges)]
-
-
-def _nanoseconds(ticks: I64, tick_s: float) -> NDArray[np.timedelta64]:
-    nanoseconds: NDArray[np.timedelta64] = np.rint(ticks * (tick_s * 1e9)).astype("timedelta64[ns]")
-    return nanoseconds

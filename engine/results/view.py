@@ -54,6 +54,9 @@ CAUSE_WORDS: dict[int, str] = {c: c.name.lower().replace("_", " ") for c in Caus
 ACTIVITIES: tuple[str, ...] = ("moving", "waiting", "loading", "charging", "idle", "fault")
 """What a fleet's time is divided into. A paused vehicle counts as waiting."""
 
+HEATS: tuple[str, ...] = ("occupancy", "waiting", "energy", "expected")
+"""Kinds of heat map."""
+
 _GROUP_OF: dict[int, int] = {
     Activity.WAIT: 1,
     Activity.PICK: 2,
@@ -754,6 +757,30 @@ class RunView:
         is_open = np.searchsorted(created, times, side="right") - np.searchsorted(ended, times, side="right")
         return {"t_s": times * self.tick_s, "per_h": count * 3600.0 / (window * self.tick_s), "open": is_open}
 
+    def progress(self, times: Sequence[float] | NDArray[Any]) -> dict[str, Any]:
+        """What the fleet has come to by each time, (m,) each: orders_done, energy_j drawn, waiting_s of all vehicles.
+
+        Energy is that of the latest sample, `log.sample_s` apart; a paused vehicle waits.
+        """
+        times = np.clip(np.asarray(times, np.float64), self.first_tick, max(self.t_end, self.first_tick))
+        done, drawn, begun, ended = self._cached("progress", self._progress)
+        at = self._battery.position(np.arange(self.n)[:, None], times[None, :])
+        known = np.where(at >= 0, drawn[self._battery.row[at]], 0).sum(0) if self._battery.n else np.zeros(len(times))
+        waited = _passed(begun, times) - _passed(ended, times)
+        return {
+            "orders_done": np.searchsorted(done, times, side="right"),
+            "energy_j": known / 1000.0,
+            "waiting_s": waited * self.tick_s,
+        }
+
+    def _progress(self) -> tuple[NDArray[np.int64], ...]:
+        """Ticks at which an order was done, mJ drawn by battery row, ticks at which a waiting begins, and ends."""
+        orders = self._orders_at(self.t_end)["done"]
+        drawn = np.asarray(sum(self._b[ENERGY_COLUMNS[c]].astype(np.int64) for c in _DRAWN))
+        c = self._overlapping(self.first_tick, self.t_end)
+        waits = (c["kind"] == Activity.WAIT) | (c["kind"] == Activity.PAUSE)
+        return np.sort(orders[orders >= 0]), drawn, np.sort(c["t0"][waits]), np.sort(c["t1"][waits])
+
     def bands(self, t0: float, t1: float, vehicles: Sequence[int] | None = None) -> list[tuple[int, float, float, int]]:
         """States of every vehicle in [t0, t1] as (vehicle, t0, t1, VehicleState), equal neighbours merged."""
         t0, t1 = self._clamp(t0), self._clamp(t1)
@@ -782,9 +809,11 @@ class RunView:
 
     def heat(self, kind: str, t0: float, t1: float) -> F64:
         """Per place in [t0, t1]: `occupancy` share of the time that it is held · `waiting` s waited in it · `energy` J
-        of the motions that ended in it.
+        of the motions that ended in it · `expected` s that driving along it is expected to take at t1, 0 for no arc.
         """
         t0, t1 = self._clamp(t0), self._clamp(t1)
+        if kind == "expected":
+            return self._expected_s(t1)
         n = self.world.graph.n_places
         c = self._overlapping(t0, t1)
         span = np.minimum(c["t1"], t1) - np.maximum(c["t0"], t0)
@@ -799,7 +828,27 @@ class RunView:
         if kind == "energy":
             share = span / np.maximum(c["t1"] - c["t0"], 1)
             return np.asarray(np.bincount(c["to_place"], weights=c["energy_mj"] * share, minlength=n) / 1000.0)
-        raise ValueError(f"unknown heat map {kind!r}; known: occupancy, waiting, energy")
+        raise ValueError(f"unknown heat map {kind!r}; known: {', '.join(HEATS)}")
+
+    def arcs(self, t0: float, t1: float) -> dict[str, Any]:
+        """Arcs in [t0, t1], per place (P,): `expected_s` at t1, `occupancy` as in `heat`, `passages` that began."""
+        t0, t1 = self._clamp(t0), self._clamp(t1)
+        c = self._overlapping(t0, t1)
+        enters = (c["kind"] >= PRIMITIVE_0) & (c["from_place"] != c["to_place"]) & (c["t0"] >= t0)
+        passages = np.bincount(c["to_place"][enters], minlength=self.world.graph.n_places)
+        return {
+            "expected_s": self._expected_s(t1),
+            "occupancy": self.heat("occupancy", t0, t1),
+            "passages": passages,
+        }
+
+    def _expected_s(self, time: float) -> F64:
+        """What a router expects of each arc, by the last refresh until a time: before the first, the arc's own time."""
+        expected = np.asarray(self.world.graph.arc_ticks, np.float64) * self.tick_s
+        a = self.reader.table("arcs")
+        known = int(np.searchsorted(a["tick"], time, side="right"))
+        expected[a["place"][:known]] = a["expected_ms"][:known] / 1000.0  # the last row of a place counts
+        return expected
 
     def _overlapping(self, t0: float, t1: float) -> dict[str, NDArray[Any]]:
         """Intervals that overlap [t0, t1], the open ones until the end of the log. Rows are in order of t1."""
@@ -824,3 +873,10 @@ class RunView:
         if name not in self._cache:
             self._cache[name] = build()
         return self._cache[name]
+
+
+def _passed(ticks: NDArray[np.int64], times: F64) -> F64:
+    """Σ max(0, T - tick) over ascending ticks, at every time T."""
+    sums = np.concatenate([[0], np.cumsum(ticks)])
+    before = np.searchsorted(ticks, times)
+    return np.asarray(before * times - sums[before])

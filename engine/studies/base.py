@@ -30,13 +30,14 @@ from engine.errors import InvariantBroken, RunError, ScenarioError, WattlaneErro
 STUDIES: dict[str, str] = {
     "xu2025": "engine.studies.xu2025:Xu2025",
     "zhang2021": "engine.studies.zhang2021:Zhang2021",
+    "lian2024": "engine.studies.lian2024:Lian2024",
 }
 
 Cell = dict[str, Any]
 Progress = Callable[[int, int, str], bool | None]
 """Told (cells done, cells in all, what); answers False to end the run, keeping the cells that are done."""
 
-NOT_IN_CELLS = ("replay", "results", "studies")
+NOT_IN_CELLS = ("replay", "studies")
 """Rooms of the engine whose code can't change what a cell finds."""
 VERSIONS_KEPT = 2
 """Cells of so many versions of the code stay in a folder."""
@@ -97,7 +98,8 @@ FIGURE_KINDS = ("lines", "bars", "scatter", "histogram", "table", "gantt", "floo
 class Figure:
     """Data of one figure as plain values; `kind` says how it is drawn, and so what `data` holds.
 
-    lines, bars, scatter: `series`, each {name, x, y} and optionally half (of the interval about y) and style (`dash`);
+    lines, bars, scatter: `series`, each {name, x, y} and optionally half (of the interval about y), style (`dash`),
+    points (False for a mere line);
     `bands`, each {name, x, low, high}; x_title, y_title, log_y · histogram: `series`, each {name, values}; x_title ·
     table: columns, rows · gantt: `bars`, each {row, begin, end, name}; x_title · floor: rows (text, the lowest first,
     `@` an obstacle), paths (name → vehicles → cells [x, y]), captions (name → text) · all: `note`, a sentence.
@@ -171,6 +173,11 @@ def study(name: str) -> Study:
     module, _, attribute = STUDIES[name].partition(":")
     found: Study = getattr(import_module(module), attribute)()
     return found
+
+
+def counted(study: Study) -> str:
+    """What a study's `maps` are, in the plural: maps, unless it has a `counted` that says otherwise."""
+    return str(getattr(study, "counted", "maps"))
 
 
 # -- cells ------------------------------------------------------------------------------------------------------------

@@ -76,8 +76,12 @@ def test_views_routes_and_heat(client: Any, run_id: str) -> None:
     assert (view["time_s"], view["t_end_s"]) == (60.0, 240.0)
     assert isinstance(client.get(f"/api/runs/{run_id}/routes?t=60").json(), list)
     places = len(client.get(f"/api/runs/{run_id}/floor").json()["places"])
-    for kind in ("occupancy", "waiting", "energy"):
+    for kind in ("occupancy", "waiting", "energy", "expected"):
         assert len(client.get(f"/api/runs/{run_id}/heat?kind={kind}").json()["values"]) == places
+    arcs = client.get(f"/api/runs/{run_id}/arcs?t0=60&t1=120").json()
+    assert {name: len(values) for name, values in arcs.items()} == dict.fromkeys(
+        ("expected_s", "occupancy", "passages"), places
+    )
 
 
 @pytest.mark.parametrize(

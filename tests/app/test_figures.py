@@ -43,6 +43,7 @@ def all_figures(scheme: str) -> dict[str, go.Figure]:
         "occupancy": figures.occupancy_figure(shares(), scheme),
         "throughput": figures.throughput_figure({"t_s": T, "per_h": T * 0 + 60, "open": T * 0 + 4}, scheme),
         "energy": figures.energy_figure({"t_s": T, "components": components}, scheme),
+        "comparing": figures.comparing_figure("comparing", T, {"A": T, "B": 2 * T}, parting_s=60.0, scheme=scheme),
         "bands": figures.bands_figure(bands_data(8), 0, 3600, 1800, 3, scheme),
         "reservations": figures.reservations_figure(reservations_data(400), 0, 600, 1.0, 300, None, None, scheme),
     }

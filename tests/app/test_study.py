@@ -147,6 +147,7 @@ def test_json_is_one_object_with_everything(wattlane: Any, tiny: str, tmp_path: 
     assert all(each.keys() == ROW_KEYS for each in record["rows"])
     about = record["made"]
     assert (about["quick"], about["maps"], about["seed"], about["cells"], about["kept"]) == (True, 3, 11, 3, 0)
+    assert about["counted"] == "maps"
     assert about["versions"]["python"]
     assert [each["verdict"] for each in record["rows"]] == ["inside", "outside", "–"]
     files = [Path(file) for file in record["files"]]

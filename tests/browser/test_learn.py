@@ -1,4 +1,4 @@
-"""Learn: both lessons edited, stepped, pointed at, and reopened from their address."""
+"""Learn: the lessons edited, stepped, pointed at, and reopened from their address."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def colour(page: Page, x: int, y: int, panel: int = 0) -> str:
 def test_the_cards_lead_to_the_lessons_and_their_examples(dashboard: Any, page: Page) -> None:
     page.goto(f"{dashboard.url}/learn")
     cards = page.locator(".wl-lesson-card")
-    expect(cards.locator("h2")).to_have_text(["Search playback", "Constraint tree"])
+    expect(cards.locator("h2")).to_have_text(["Search playback", "Constraint tree", "Learned time", "Motor to battery"])
     page.get_by_role("link", name="Tie rules").click()
     settled(page, PATIENCE_MS)
     expect(page.locator(".wl-lesson-panel")).to_have_count(4)
@@ -219,6 +219,8 @@ def test_random_floors_and_searches_are_added_and_removed(dashboard: Any, page: 
         ("/learn/search?map=90x90", "sides of 2 to 60 cells were expected, got 90"),
         ("/learn/search?panels=astar.manhatan.fifo", "did you mean 'manhattan'?"),
         ("/learn/tree?vehicles=0.0-3.3", "2 to 5 were expected, got 1"),
+        ("/learn/learned-time?start=E77&goal=N20", "did you mean 'E7'?"),
+        ("/learn/motor?gear=900", "gear: a number from 5 to 60"),
     ],
 )
 def test_a_bad_address_says_so_and_shows_the_first_example(
@@ -302,8 +304,100 @@ def test_switches_and_edits_change_the_tree(dashboard: Any, page: Page) -> None:
     expect(status).to_contain_text("the priority rule left no plan")
 
 
+def test_learned_times_are_scrubbed_and_a_request_is_routed(dashboard: Any, page: Page) -> None:
+    open_lesson(page, f"{dashboard.url}/learn/learned-time")
+    now = page.locator("#lesson-now")
+    rows = now.locator("tbody tr")
+    expect(rows).to_have_text([re.compile(f"^{name}16.2 m117.2 sleast$") for name in
+                               ("stochastic", "literal", "astar-turns", "astar-distance")])  # fmt: skip
+    page.keyboard.press("End")
+    expect(rows.first).to_contain_text("16.2 m2")
+    expect(rows.nth(2)).to_contain_text(re.compile(r"16\.2 m1.*\+\d\d %$"))
+    expect(page.locator(".wl-lesson-status")).to_contain_text("after refresh 20 of 20, 10:00:00")
+    expect(page).to_have_url(re.compile("step=20$"))
+    # an arc tells what is expected of it, what was seen, and how long it was held
+    lane = page.evaluate(
+        "wattlane.lesson.map.floor.lanes.find((l) => wattlane.lesson.map.stationAt.get(l.from).name === 'N59').place"
+    )
+    box = page.locator(".wl-lesson-map .wl-map-canvas").bounding_box()
+    assert box is not None
+
+    def at(place: int) -> tuple[float, float]:
+        x, y = page.evaluate(f"wattlane.lesson.map.placeScreen({place})")
+        return box["x"] + x, box["y"] + y
+
+    page.mouse.move(*at(lane))
+    expect(page.locator(".wl-lesson-map .wl-tip")).to_have_text(
+        re.compile(
+            r"^(lane|kerb) N59→[EN]\d+ · expected \d\.\d\d s · [\d,]+ passages in the last 30 min · occupied \d+\.\d %"
+        )
+    )
+    # a click sets the start, the next one the goal; a list does too
+    nodes = page.evaluate("Object.fromEntries(wattlane.lesson.map.floor.stations.map((s) => [s.name, s.place]))")
+    for name in ("E5", "N70"):
+        before = answers(page)
+        page.mouse.click(*at(nodes[name]))
+        after(page, before)
+    expect(now.locator("h2")).to_have_text("E5 → N70")
+    before = answers(page)
+    page.get_by_label("Goal", exact=True).select_option("E6")
+    after(page, before)
+    page.get_by_label("stochastic as printed").uncheck()
+    expect(page.locator(".wl-plot-keys > span:visible")).to_have_count(3)
+    expect(page).to_have_url(re.compile(r"\?start=E5&goal=E6&show=stochastic.astar-turns.astar-distance&step=20$"))
+    shown, address = now.inner_text(), page.url
+    page.goto("about:blank")
+    open_lesson(page, address)
+    expect(page.get_by_label("stochastic as printed")).not_to_be_checked()
+    assert now.inner_text() == shown
+
+
+def test_a_drive_is_changed_played_and_reopened(dashboard: Any, page: Page) -> None:
+    open_lesson(page, f"{dashboard.url}/learn/motor")
+    status, limits, now = (
+        page.locator(".wl-lesson-status"),
+        page.locator(".wl-lesson-limits"),
+        page.locator("#lesson-now"),
+    )
+    expect(page.locator(".wl-plot svg")).to_have_count(8)
+    expect(status).to_contain_text(re.compile(r"motors take 8\d\.\d %"))
+    expect(limits).to_be_hidden()
+    expect(now.locator("h2").first).to_have_text("At 0.0 s: speeding up")
+    # the paper's formula beside: ½ · 500 kg · (1 m/s)², and 20 W for 12 s
+    expect(now).to_contain_text("½ m v² of the start250 J")
+    expect(now).to_contain_text("together490 J")
+    before = answers(page)
+    page.get_by_role("button", name="The printed turn").click()
+    after(page, before)
+    expect(limits).to_contain_text("Not possible as asked: from 7.0 s on, turning, the motors need up to 25.")
+    before = answers(page)
+    page.get_by_label("Time to turn by 90° in s").fill("2")
+    after(page, before)
+    expect(limits).to_be_hidden()
+    expect(now).to_contain_text("½ m v² of both starts500 J")
+    before = answers(page)
+    page.get_by_label("Mass of the vehicle in kg").fill("300")
+    after(page, before)
+    expect(now).to_contain_text("½ m v² of both starts300 J")
+    plot = page.locator(".wl-plot svg").nth(3)
+    box = plot.bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + box["width"] * 0.5, box["y"] + box["height"] * 0.5)
+    expect(now.locator("h2").first).to_contain_text(": turning")
+    until(page, "location.search.includes('step=')")
+    shown, address = now.inner_text(), page.url
+    assert "mass=300&load=0&gear=30&speed=1.0&distance=10&turn=90&turning=2.0" in address
+    page.goto("about:blank")
+    open_lesson(page, address)
+    expect(now.locator("h2").first).to_contain_text(": turning")
+    assert now.inner_text() == shown
+
+
 @pytest.mark.parametrize("context", [PHONE], indirect=True)
-@pytest.mark.parametrize("path", ["/learn", "/learn/search?step=60", "/learn/tree?step=5"])
+@pytest.mark.parametrize(
+    "path",
+    ["/learn", "/learn/search?step=60", "/learn/tree?step=5", "/learn/learned-time?step=9", "/learn/motor?step=9"],
+)
 def test_on_a_phone_nothing_sticks_out(dashboard: Any, page: Page, path: str) -> None:
     if "?" in path:
         open_lesson(page, dashboard.url + path)

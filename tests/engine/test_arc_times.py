@@ -15,6 +15,7 @@ from engine.planners.base import Leg, Observed, Request, View
 from engine.planners.search import FloorSearch
 from engine.planners.stochastic import Stochastic, p_quicker, printed_h
 from engine.results.arcs import busy_s, describe, kurtosis_se, motion_rows, normality, shares_that_pass, skew_se, visits
+from engine.results.view import RunView
 from engine.scenario import load
 from engine.sim import checkpoint
 from engine.traffic import gap_at, new_arc_times, new_claims, observe
@@ -113,6 +114,21 @@ def test_busy_time_is_what_the_intervals_say(run):
         want = sum(max(0, min(r[5], 1800) - max(r[4], 600)) for r in rows.tolist() if place in (r[6], r[7]))
         assert held[place] == pytest.approx(want * sim.tick_s)
     assert held.max() <= 120.0 + 1e-6
+
+
+def test_the_view_tells_of_arcs_what_the_log_says(run):
+    sim, log = run
+    view = RunView(log, sim.scenario, sim.world)
+    own = sim.graph.arc_ticks * sim.tick_s
+    np.testing.assert_array_equal(view.heat("expected", 0, 599), own)
+    assert (view.heat("expected", 0, 600) != own).any()
+    np.testing.assert_allclose(view.heat("expected", 0, 2400), sim.memory["expected_ms"] / 1000)
+    np.testing.assert_array_equal(view.heat("expected", 0, 1799), view.heat("expected", 1500, 1200))
+    told, rows = view.arcs(600, 1800), motion_rows(log)
+    moves = rows[(rows[:, 1] >= PRIMITIVE_0) & (rows[:, 6] != rows[:, 7]) & (rows[:, 4] >= 600) & (rows[:, 4] < 1800)]
+    np.testing.assert_array_equal(told["passages"], np.bincount(moves[:, 7], minlength=sim.world.n_places))
+    np.testing.assert_allclose(told["occupancy"], busy_s(log, sim.world, sim.tick_s, 600, 1800) / 120, atol=1e-9)
+    np.testing.assert_array_equal(told["expected_s"], view.heat("expected", 600, 1800))
 
 
 def test_the_run_is_legal_and_resumes_to_the_same_digest(run, tmp_path):

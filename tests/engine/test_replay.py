@@ -24,6 +24,7 @@ from engine.replay import viewer
 from engine.replay.sink import is_finished
 from engine.results.runlog import LogReader, MemoryLog
 from engine.results.schema import LIST, TABLES
+from engine.results.view import RunView
 from engine.scenario import Scenario, parse
 from engine.types import FOREVER, PRIMITIVE_0, VehicleState
 from engine.world.floor import World, build_world
@@ -498,6 +499,40 @@ def test_a_run_folder_gives_its_recording(tmp_path: Path) -> None:
     scenario = parse((tmp_path / run_id / "scenario.toml").read_text())
     rebuild(LogReader(tmp_path / run_id), scenario, build_world(scenario), tmp_path / run_id / "run.rrd", run_id=run_id)
     assert verify(tmp_path / run_id / "run.rrd").returncode == 0
+
+
+def test_runs_beside_each_other_are_two_trees_on_one_timeline(recorded: Recorded, tmp_path: Path) -> None:
+    """Each tree is the run's own recording, with the run's totals added."""
+    from engine.replay import looks
+    from engine.replay.rebuild import rebuild, rebuild_beside
+
+    other = MemoryLog()
+    make_log(other, recorded.scenario, recorded.world, ticks=400, commands=COMMANDS[:2])
+    logs = {"A": recorded.log, "B": other}
+    views = {root: RunView(log, recorded.scenario, recorded.world) for root, log in logs.items()}
+    path = tmp_path / "both.rrd"
+    rebuild_beside(views, {"A": "A prioritized", "B": "B quickest"}, path)
+    assert verify(path).returncode == 0
+    both = read(path)
+    for root, log in logs.items():
+        rebuild(log, recorded.scenario, recorded.world, tmp_path / f"{root}.rrd", run_id=root)
+        alone = read(tmp_path / f"{root}.rrd")
+        names = {name for name in alone if not name.startswith(("/__", "/blueprint"))}
+        below = {name.removeprefix(f"/{root}") for name in both if name.startswith(f"/{root}/")}
+        totals = {f"/totals/{total}" for total in looks.TOTAL_WORDS}
+        assert below == names | totals
+        for name in (looks.VEHICLES, looks.SOC, f"{looks.ORDERS}/done"):
+            component = next(key for key in alone[f"/{name}"][-1] if ":" in key)
+            assert moving(both, f"{root}/{name}", component) == moving(alone, name, component)
+        progress = views[root].progress(range(views[root].t_end + 1))
+        for total in looks.TOTAL_WORDS:
+            found = moving(both, f"{root}/totals/{total}", "Scalars:scalars")
+            assert found == {tick: [pytest.approx(progress[total][tick])] for tick in found}
+            assert max(found) == views[root].t_end
+    shown = {
+        root: {row["tick"] for row in both[f"/{root}/{looks.VEHICLES}"] if row.get("tick") is not None} for root in logs
+    }
+    assert shown["B"] < shown["A"]
 
 
 def test_a_resumed_run_continues_its_recording(recorded: Recorded, tmp_path: Path) -> None:
