@@ -29,8 +29,8 @@ from engine.errors import InvariantBroken, RunError, ScenarioError, WattlaneErro
 
 STUDIES: dict[str, str] = {
     "xu2025": "engine.studies.xu2025:Xu2025",
-    "zhang2021": "engine.studies.zhang2021:Zhang2021",
     "lian2024": "engine.studies.lian2024:Lian2024",
+    "zhang2021": "engine.studies.zhang2021:Zhang2021",
 }
 
 Cell = dict[str, Any]
