@@ -55,8 +55,8 @@ NOTES = (
     "Planning times are CPU times of one search to the optimum, kernels compiled, tables of costs made before. In "
     "distance the straight line is a good guess of what is left; in energy, hills make it a poor one, so that several "
     "times as many states are looked at. The paper finds both times equal.",
-    "The cost of `power` counts what both motors draw at every moment, so that a descent spares rolling; with it less "
-    "is to be saved, for of what a hill takes it gives a part back.",
+    "The cost of `power` counts what both motors draw at every moment, so that a descent spares rolling: of what a "
+    "hill takes it gives a part back. Gentle ground then leaves hardly anything to be saved.",
 )
 
 
@@ -356,7 +356,7 @@ def _ways(of: Cases) -> list[Row]:
         good = [r for r in results if e == 1 and not r.get("cut_off")]
         if not good:
             continue
-        note = "the class that fits the paper" if name == "bumps" else ""
+        note = "the class that was calibrated" if name == "bumps" else ""
         rows.append(row(1, "energy saved over the shortest way", name, [-_more(r, "energy_j") for r in good], SAVED))
         rows.append(
             row(1, "longer than the shortest way", name, [_more(r, "length_m") for r in good], LONGER, note=note)
