@@ -248,7 +248,6 @@ def _changed(cell: Cell, terrain: Terrain, robot: SkidSteer, seed: int) -> Cell:
             continue
         name = SEEN if share == 0 else f"{100 * share:g} %"
         out["repair"][name], out["expanded"][name], out["ms"][name] = repaired
-        out["plans"] += 2
     return out
 
 
