@@ -7,6 +7,7 @@ Imports of weight stand inside the commands: `--help` answers at once.
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import os
 import sys
@@ -149,6 +150,7 @@ def run(
     scenario: Annotated[str, typer.Argument(help="Scenario: a built-in or imported name, or a TOML file.")],
     planner: Annotated[str | None, typer.Option("--planner", help="Planner.")] = None,
     objective: Annotated[str | None, typer.Option("--objective", help="What plans minimise: time or energy.")] = None,
+    dispatcher: Annotated[str | None, typer.Option("--dispatcher", help="Who takes which order.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override, such as fleet.count=12.")
     ] = None,
@@ -168,9 +170,10 @@ def run(
     from app.settings import scenarios_folder, use_kernel_cache, writable
 
     first = use_kernel_cache()
+    chosen = {} if dispatcher is None else {"dispatch.policy": dispatcher}
     asked = runner.asked_scenario(
         scenario,
-        overrides_of(set_ or []),
+        {**overrides_of(set_ or []), **chosen},
         seed=seed,
         planner=planner,
         objective=objective,
@@ -228,6 +231,7 @@ def _finish(going: Run, end_tick: int | None, as_json: bool) -> None:
     from app.progress import drive
     from app.settings import kernels_compiled
 
+    gc.freeze()  # modules and kernels stay: nothing to look through again and again
     status = drive(going, end_tick)
     if status == "stopped":
         say(f"Stopped at tick {going.sim.tick}; `wattlane resume {going.folder.name}` goes on.")

@@ -57,6 +57,7 @@ class Start(StrEnum):
 
     SCENARIO = "start-scenario"
     PLANNER = "start-planner"
+    DISPATCHER = "start-dispatcher"
     OBJECTIVE = "start-objective"
     FLEET = "start-fleet"
     SEED = "start-seed"

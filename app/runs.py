@@ -285,7 +285,7 @@ class RunManager:
         """What the page's mode chip and transport bar show; cheap enough to ask twice a second."""
         manifest = self.manifest(run_id)
         keys = ("run_id", "scenario", "title", "planner", "objective", "seed", "fleet", "tick_s", "status", "name")
-        answer = {key: manifest.get(key) for key in keys}
+        answer = {key: manifest.get(key) for key in (*keys, "dispatcher")}
         answer["run_id"] = run_id
         answer.update(note=manifest.get("note") or "", parent=manifest.get("parent"), demo=self.is_demo(run_id))
         answer.update(breaches=manifest.get("breaches"), ticks=manifest.get("ticks"))

@@ -17,10 +17,12 @@ from typing import Any
 import dash
 import uvicorn
 from dash.backends._fastapi import FastAPIDashServer, reset_current_request, set_current_request
+from dash.exceptions import InvalidCallbackReturnValue
 from fastapi import FastAPI, Request, Response
 
 import assets
 from app import api
+from app.pages import shell
 from app.runs import RunManager, set_manager
 from app.security import Gate, page_csp
 from app.settings import Settings, writable
@@ -67,7 +69,12 @@ class PageServer(FastAPIDashServer):
             if not isinstance(request.state.json_body, dict):
                 return api.answer({"error": "a JSON object was expected"}, 400)
             # Callbacks read logs and draw charts; on the event loop they would hold up every frame.
-            return await asyncio.to_thread(asyncio.run, dispatch(request))
+            try:
+                return await asyncio.to_thread(asyncio.run, dispatch(request))
+            except InvalidCallbackReturnValue as error:  # found after the callback, which nobody else is told
+                log.error("A page's callback answered what can't be sent", exc_info=error)
+                told = {shell.Shell.NOTIFY.value: shell.failure()}
+                return api.answer({"multi": True, "response": {}, "sideUpdate": told})
 
         return in_thread
 
@@ -100,11 +107,10 @@ def create_app(settings: Settings) -> dash.Dash:
         enable_mcp=False,
         pages_folder="",
         add_log_handler=False,
+        on_error=shell.failed,
     )
     app.wattlane_manager = manager
     api.install(app.server, manager, settings.viewer_cache)
-    from app.pages import shell
-
     shell.install(app, manager, settings)
     app.server.add_middleware(Gate, settings=settings)
     return app

@@ -27,6 +27,8 @@ PLANNERS: dict[str, str] = {
     "astar-turns": "engine.planners.astar_turns:AStarTurns",
     "astar": "engine.planners.routes:AStarRoutes",
     "eea": "engine.planners.routes:EeaRoutes",
+    "aco": "engine.planners.aco:Aco",
+    "soochow-table": "engine.planners.soochow_table:SoochowTable",
 }
 """Lifelong planners and routers: one vehicle's request at a time."""
 SOLVERS: dict[str, str] = {
@@ -42,6 +44,11 @@ SEARCHES: dict[str, str] = {
 }
 DISPATCHERS: dict[str, str] = {
     "nearest": "engine.dispatch.nearest:Nearest",
+    "nearest-sequence": "engine.dispatch.nearest_sequence:NearestSequence",
+    "hungarian": "engine.dispatch.hungarian:Hungarian",
+    "insertion": "engine.dispatch.insertion:Insertion",
+    "makespan": "engine.dispatch.makespan:Makespan",
+    "in-turn": "engine.dispatch.in_turn:InTurn",
 }
 CHARGING: dict[str, str] = {
     "levels": "engine.dispatch.levels:Levels",
@@ -302,7 +309,7 @@ def parts_of(scenario: Scenario) -> Any:
         planner=planner,
         solver=solver,
         planner_rng=np.random.default_rng(planning),
-        dispatcher=find(DISPATCHERS, "dispatcher", scenario.dispatch.policy)(charging),
+        dispatcher=dispatcher_of(scenario, charging),
         charging=charging,
         source=source_of(scenario, world, np.random.default_rng(orders)),
         faults=Faults(
@@ -407,6 +414,14 @@ def _ground_parts(scenario: Scenario) -> Any:
     )
 
 
+def dispatcher_of(scenario: Scenario, charging: Any) -> Any:
+    """The scenario's dispatcher with its parameters. Raises ScenarioError."""
+    from engine.planners.base import configured
+
+    cls = find(DISPATCHERS, "dispatcher", scenario.dispatch.policy)
+    return configured(cls, {"charging": charging, **scenario.dispatch.parameters})
+
+
 def facing_of(
     scenario: Scenario, world: World, costs: Any, start: Sequence[int], goals: Sequence[int], cls: Any
 ) -> Any:
@@ -496,7 +511,7 @@ def swap(
     """Go on with another planner, seed or parameters from the present tick; returns the changed scenario.
 
     Motions already committed finish first; a new planner starts from `init`, new orders come from the new seed. Raises
-    ScenarioError when a change needs a new run (floor, fleet, time, battery …).
+    ScenarioError when a change needs a new run (floor, fleet, time, battery, a planner that is executed as it is …).
     """
     changes: dict[str, Any] = dict(overrides or {})
     if planner is not None:

@@ -96,6 +96,7 @@ def passport(scenario: Scenario, entry: Entry, about: Mapping[str, Any]) -> html
             ("Fleet", f"{fleet.count} vehicles of {mass(scenario)} kg"),
             ("Orders", orders(scenario)),
             ("Planner", f"{scenario.planner.name}, least {scenario.planner.objective}"),
+            ("Dispatcher", scenario.dispatch.policy),
             ("Energy", f"{scenario.energy.demand}, {battery.capacity_wh:g} Wh {battery.model}"),
             ("Seed", str(scenario.seed)),
             ("Paper", scenario.paper),

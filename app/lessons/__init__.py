@@ -9,9 +9,12 @@ from app.lessons.base import Lesson
 
 LESSONS: dict[str, str] = {
     "search": "app.lessons.search:LESSON",
+    "heuristics": "app.lessons.heuristics:LESSON",
     "tree": "app.lessons.tree:LESSON",
     "learned-time": "app.lessons.learned_time:LESSON",
     "motor": "app.lessons.motor:LESSON",
+    "ants": "app.lessons.ants:LESSON",
+    "break-it": "app.lessons.break_it:LESSON",
 }
 """The lesson at /learn/{name}, in the order of the page."""
 

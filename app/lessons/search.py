@@ -534,6 +534,8 @@ LESSON = Lesson(
         "heuristics": HEURISTIC_WORDS,
         "ties": TIE_WORDS,
         "headings": list(HEADINGS),
+        "arrows": ["→", "↑", "←", "↓"],
         "panels": PANELS,
+        "first": "astar.manhattan.fifo",
     },
 )

@@ -168,6 +168,13 @@ def planners() -> list[str]:
     return [*engine.build.PLANNERS, *engine.build.ROAMING]
 
 
+def dispatchers() -> list[str]:
+    """Names of the registered dispatchers."""
+    import engine.build
+
+    return list(engine.build.DISPATCHERS)
+
+
 def overrides_from(text: str | None) -> dict[str, object]:
     """`key = value` lines as overrides; values are TOML, bare words are texts. Raises BadInput naming the line."""
     import tomllib

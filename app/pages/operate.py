@@ -20,6 +20,8 @@ from engine.errors import WattlaneError
 
 LEVEL_NAMES = ("critical", "good", "sufficient", "full", "reserve")
 RUNS_SHOWN = 12
+GOALS = "goals"
+"""The source of orders of an instance: every vehicle has its goal, and there are no orders."""
 
 
 def layout(manager: RunManager, settings: Any, run_id: str | None) -> html.Div:
@@ -79,6 +81,7 @@ def passport(status: Mapping[str, Any]) -> html.Dl:
                 "Planner",
                 f"{status['planner']}, least {status['objective']}" if status.get("objective") else status["planner"],
             ),
+            ("Dispatcher", status.get("dispatcher")),
             ("Fleet", f"{status['fleet']} vehicles"),
             ("Seed", str(status["seed"])),
             ("Forked from", origin),
@@ -114,6 +117,14 @@ def start_form(manager: RunManager, scenario: str | None) -> html.Div:
             ),
             dmc.Select(id=Start.PLANNER, label="Planner", data=data.planners(), allowDeselect=False, size="xs"),
             dmc.Select(id=Start.OBJECTIVE, label="Objective", data=["time", "energy"], allowDeselect=False, size="xs"),
+            dmc.Select(
+                id=Start.DISPATCHER,
+                label="Dispatcher",
+                data=data.dispatchers(),
+                allowDeselect=False,
+                size="xs",
+                className="whole",
+            ),
             dmc.NumberInput(id=Start.FLEET, label="Vehicles", min=1, max=5000, allowDecimal=False, size="xs"),
             dmc.NumberInput(id=Start.SEED, label="Seed", min=0, allowDecimal=False, size="xs"),
             dmc.NumberInput(id=Start.RATE, label="Orders per hour", min=0, size="xs", className="whole"),
@@ -142,18 +153,21 @@ def start_form(manager: RunManager, scenario: str | None) -> html.Div:
 
 
 def commands(stations: Sequence[Mapping[str, Any]], levels: Mapping[str, float], scenario: Any) -> html.Div:
-    """New order, order rate, charging levels."""
+    """New order, order rate (neither where vehicles drive to goals), charging levels."""
     choices = [{"value": str(s["number"]), "label": f"{s['name']} ({s['kind']})"} for s in stations]
     rate = getattr(scenario.orders, "rate_per_h", None)
+    orders = [
+        dmc.Select(id=Operate.ORDER_FROM, label="Order from", data=choices, searchable=True, size="xs"),
+        dmc.Select(id=Operate.ORDER_TO, label="to", data=choices, searchable=True, size="xs"),
+        dmc.Button("Give the order", id=Operate.ORDER_BUTTON, size="xs", variant="light", className="whole"),
+        dmc.NumberInput(
+            id=Operate.RATE, label="Orders per hour", value=rate if rate is not None else "", min=0, size="xs"
+        ),
+        dmc.Button("Change rate", id=Operate.RATE_BUTTON, size="xs", variant="light", style={"alignSelf": "end"}),
+    ]
     return html.Div(
         [
-            dmc.Select(id=Operate.ORDER_FROM, label="Order from", data=choices, searchable=True, size="xs"),
-            dmc.Select(id=Operate.ORDER_TO, label="to", data=choices, searchable=True, size="xs"),
-            dmc.Button("Give the order", id=Operate.ORDER_BUTTON, size="xs", variant="light", className="whole"),
-            dmc.NumberInput(
-                id=Operate.RATE, label="Orders per hour", value=rate if rate is not None else "", min=0, size="xs"
-            ),
-            dmc.Button("Change rate", id=Operate.RATE_BUTTON, size="xs", variant="light", style={"alignSelf": "end"}),
+            *([] if scenario.orders.source == GOALS else orders),
             html.Details(
                 [
                     html.Summary("Charging levels", style={"fontSize": "13px", "cursor": "pointer"}),
@@ -231,8 +245,10 @@ def started(manager: RunManager, values: Mapping[str, Any]) -> str:
     overrides = data.overrides_from(values["more"])
     scenario = manager.scenarios.load(values["scenario"])
     changes = {} if values["fleet"] in (None, "") else fleet_overrides(scenario, values["fleet"])
-    if values["rate"] not in (None, "", scenario.orders.rate_per_h):
+    if scenario.orders.source != GOALS and values["rate"] not in (None, "", scenario.orders.rate_per_h):
         changes["orders.rate_per_h"] = values["rate"]
+    if values["dispatcher"]:
+        changes["dispatch.policy"] = values["dispatcher"]
     overrides = {**changes, **overrides}
     seed = values["seed"]
     return manager.start(
@@ -257,36 +273,40 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         Output(Start.PLANNER, "value"),
         Output(Start.PLANNER, "data"),
         Output(Start.OBJECTIVE, "value"),
+        Output(Start.DISPATCHER, "value"),
         Output(Start.FLEET, "value"),
         Output(Start.SEED, "value"),
         Output(Start.RATE, "value"),
         Output(Start.RATE, "disabled"),
+        Output(Start.RATE, "style"),
         Output(Start.KEYS, "children"),
         Output(Start.ERROR, "children"),
         Input(Start.SCENARIO, "value"),
     )
     def fill(name: str | None) -> Any:
         if not name:
-            return (no_update,) * 9
+            return (no_update,) * 11
         try:
             known = data.scenario_values(manager, name)
             fits = list(manager.scenarios.planners(name))
         except WattlaneError as error:
-            return (*(no_update,) * 8, str(error))
+            return (*(no_update,) * 10, str(error))
         rate = known["orders.rate_per_h"]["value"]
-        listed = known["orders.source"]["value"] != "poisson"
+        source = known["orders.source"]["value"]
+        hidden = {"display": "none"} if source == GOALS else {}
         keys = html.Dl(
             [
                 part
                 for key, row in known.items()
-                if "." in key
+                if "." in key and not (source == GOALS and key.startswith("orders."))
                 for part in (html.Dt(html.Code(key)), html.Dd(f"{row['description']} · {shown(row['value'])}"))
             ],
             style={"fontSize": "12px", "maxHeight": "220px", "overflow": "auto"},
         )
         planner, objective = known["planner.name"]["value"], known["planner.objective"]["value"]
-        first = (planner, fits, objective, known["fleet.count"]["value"])
-        return (*first, known["seed"]["value"], "" if rate is None else rate, listed, keys, None)
+        first = (planner, fits, objective, known["dispatch.policy"]["value"], known["fleet.count"]["value"])
+        shown_rate = "" if rate is None else rate
+        return (*first, known["seed"]["value"], shown_rate, source != "poisson", hidden, keys, None)
 
     @app.callback(
         Output(Start.ERROR, "children", allow_duplicate=True),
@@ -295,6 +315,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         State(Start.SCENARIO, "value"),
         State(Start.PLANNER, "value"),
         State(Start.OBJECTIVE, "value"),
+        State(Start.DISPATCHER, "value"),
         State(Start.FLEET, "value"),
         State(Start.SEED, "value"),
         State(Start.RATE, "value"),
@@ -305,7 +326,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
     def start(clicks: int | None, *values: Any) -> tuple[Any, Any]:
         if not clicks:
             return no_update, no_update
-        names = ("scenario", "planner", "objective", "fleet", "seed", "rate", "more")
+        names = ("scenario", "planner", "objective", "dispatcher", "fleet", "seed", "rate", "more")
         return opened(lambda: started(manager, dict(zip(names, values, strict=True))))
 
     @app.callback(

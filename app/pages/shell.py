@@ -10,7 +10,7 @@ from urllib.parse import parse_qs
 
 import dash
 import dash_mantine_components as dmc
-from dash import ClientsideFunction, Input, Output, State, dcc, html
+from dash import ClientsideFunction, Input, Output, State, ctx, dcc, html
 
 from app.components.basics import empty, icon
 from app.ids import Shell
@@ -50,6 +50,9 @@ KEYS: tuple[tuple[str, str], ...] = (
     ("Esc", "close, cancel, select nothing"),
     ("?", "this help"),
 )
+
+
+FAILURE = "The server made a mistake; its log says where."
 
 
 def layout() -> dmc.MantineProvider:
@@ -132,6 +135,32 @@ def query_of(search: str | None) -> Query:
     return {key: values[0] for key, values in parse_qs((search or "").lstrip("?")).items()}
 
 
+def failed(error: Exception) -> None:
+    """What a page's callback didn't foresee: into the log, and said on the page."""
+    log.error("A page's callback failed", exc_info=error)
+    dash.set_props(Shell.NOTIFY, failure())
+
+
+def failure() -> dict[str, Any]:
+    """Properties of the notifications that say so; while one is shown, no second one is."""
+    about = {"title": "Something went wrong", "message": f"{FAILURE} The page may show old values."}
+    return {
+        "sendNotifications": [{"action": "show", "id": "failure", "color": "red", "autoClose": 12000, **about}],
+    }
+
+
+def failed_page(error: Exception) -> tuple[Any, Any, Any]:
+    """The same when a page can't be made at all: in its place."""
+    log.error("A page can't be shown", exc_info=error)
+    home = dcc.Link("See all runs", href="/runs", className="wl-button primary")
+    sentence = empty("This page can't be shown", FAILURE, home)
+    return (
+        html.Div(sentence, className="wl-scroll", role="alert"),
+        nav(ctx.inputs[f"{Shell.URL}.pathname"] or "/"),
+        None,
+    )
+
+
 def content(manager: RunManager, settings: Settings, path: str, query: Query) -> Any:
     """The page of an address; what goes wrong becomes a sentence on the page."""
     home = dcc.Link("See all runs", href="/runs", className="wl-button primary")
@@ -174,6 +203,7 @@ def install(app: dash.Dash, manager: RunManager, settings: Settings) -> None:
         Input(Shell.URL, "pathname"),
         Input(Shell.URL, "search"),
         Input(Shell.REBIND, "data"),
+        on_error=failed_page,
     )
     def route(pathname: str | None, search: str | None, _: Any) -> tuple[Any, Any, Any]:
         path = (pathname or "/").rstrip("/") or "/"

@@ -2,6 +2,7 @@
 (() => {
   "use strict";
   const wl = (window.wattlane = window.wattlane || {});
+  const FOUND_MS = 60000;   // a slow machine may take long to draw a page
 
   /** An element with attributes, listeners (`onclick`), data (`dataset`) and children. */
   wl.el = (tag, attributes = {}, ...children) => {
@@ -22,7 +23,7 @@
     const look = () => {
       const node = document.getElementById(id);
       if (node) resolve(node);
-      else if (performance.now() - begin > 8000) resolve(null);
+      else if (performance.now() - begin > FOUND_MS) resolve(null);
       else requestAnimationFrame(look);
     };
     look();

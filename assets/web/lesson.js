@@ -33,7 +33,7 @@
   wl.learnColours = () => {
     const style = getComputedStyle(document.documentElement), read = (name) => style.getPropertyValue(`--wl-learn-${name}`).trim();
     return Object.fromEntries(["free", "wall", "line", "open", "open-edge", "closed", "path", "path-edge", "chain", "now", "start", "goal", "text",
-      "mark-text", "pruned", "conflict", "v0", "v1", "v2", "v3", "v4"].map((name) => [name, read(name)]));
+      "mark-text", "pruned", "conflict", "pheromone", "v0", "v1", "v2", "v3", "v4"].map((name) => [name, read(name)]));
   };
 
   // ---- transport

@@ -1,10 +1,9 @@
-/* Search playback: the traces of up to four searches on one floor, in step. */
+/* Search playback: the traces of several searches on one floor, in step. */
 (() => {
   "use strict";
   const wl = (window.wattlane = window.wattlane || {});
   const { el } = wl;
 
-  const ARROWS = ["→", "↑", "←", "↓"];
   const SMALL_TEXT = 46;
 
   class SearchLesson extends wl.Lesson {
@@ -33,6 +32,7 @@
       this.setTool(this.tool);
     }
 
+    newPanel(index) { return new Panel(this, index); }
     views() { return this.panels.map((panel) => panel.view); }
     steps() { return Math.max(...this.panels.map((panel) => panel.trace.expanded + 1)); }
     cleanup() { for (const panel of this.panels) panel.view.destroy(); }
@@ -51,7 +51,7 @@
 
     addPanel() {
       if (this.specs().length >= this.options.panels) return;
-      this.change(this.specs().length, "astar.manhattan.fifo");
+      this.change(this.specs().length, this.options.first);
     }
 
     size() {
@@ -141,7 +141,7 @@
       if (random) { this.fields.density.value = random[1]; this.fields.seed.value = random[2]; }
       while (this.panels.length > answer.panels.length) { const gone = this.panels.pop(); gone.view.destroy(); gone.host.remove(); }
       while (this.panels.length < answer.panels.length) {
-        const panel = new Panel(this, this.panels.length);
+        const panel = this.newPanel(this.panels.length);
         this.panels.push(panel);
         this.grid.append(panel.host);
       }
@@ -164,12 +164,17 @@
       for (const panel of this.panels) { if (panel.view.cursor !== cell) panel.view.cursor = cell; panel.view.draw(); }
     }
 
+    /** What is told while no cell is pointed at. */
+    idle() {
+      return [el("h2", {}, "A cell"), el("p", { class: "wl-hint" }, "Point at a cell of a map: g, h and f of its states, heading, parent and order of expansion in every search.")];
+    }
+
     /** The cell under the pointer in every panel, in words. */
     tell() {
       const cell = this.hovered;
       for (const panel of this.panels) panel.view.hint(this.hintIn === panel ? cell : null, this.hintIn === panel && cell !== null && cell !== undefined ? panel.lines(cell) : null);
       if (cell === null || cell === undefined || !this.floor) {
-        this.now.replaceChildren(el("h2", {}, "A cell"), el("p", { class: "wl-hint" }, "Point at a cell of a map: g, h and f of its states, heading, parent and order of expansion in every search."));
+        this.now.replaceChildren(...this.idle());
         return;
       }
       const x = cell % this.floor.width, y = Math.floor(cell / this.floor.width);
@@ -188,6 +193,8 @@
     constructor(lesson, index) {
       this.lesson = lesson;
       this.index = index;
+      this.digits = 1;
+      this.arrows = lesson.options.arrows;
       const choose = (label, act) => el("select", { class: "wl-select", "aria-label": `${label} of search ${index + 1}`, title: label, onchange: act });
       this.algorithm = choose("Algorithm", () => {
         const [name] = this.spec(), choice = lesson.options.algorithms[this.algorithm.value];
@@ -226,8 +233,9 @@
       this.rows = wl.unpack(trace.rows);
       this.entries = wl.unpack(trace.entries);
       this.path = wl.unpack(trace.path);
-      this.unit = trace.unit === "J" ? (value) => wl.joules(value) : (value) => `${wl.number(value / 1000, value % 1000 ? 1 : 0)} m`;
-      this.bare = trace.unit === "J" ? (value) => wl.number(Math.round(value / 1000)) : (value) => wl.number(value / 1000, value % 1000 ? 1 : 0);
+      const digits = (value) => (value % 1000 ? this.digits : 0);
+      this.unit = trace.unit === "J" ? (value) => wl.joules(value) : (value) => `${wl.number(value / 1000, digits(value))} ${trace.unit}`;
+      this.bare = trace.unit === "J" ? (value) => wl.number(Math.round(value / 1000)) : (value) => wl.number(value / 1000, digits(value));
       this.ofCell = new Map();
       this.entries.cell.forEach((cell, i) => { if (!this.ofCell.has(cell)) this.ofCell.set(cell, []); this.ofCell.get(cell).push(i); });
       const { options } = this.lesson, [algorithm, heuristic, tie, seed] = this.spec(), choice = options.algorithms[algorithm];
@@ -346,29 +354,37 @@
     }
 
     count() {
-      const { trace, rows, done } = this, item = (value, word) => el("div", {}, el("dd", {}, value), " ", el("dt", {}, word));
-      const last = done - 1, solved = this.ended && trace.solved;
-      const metres = solved ? trace.length : last >= 0 ? rows.steps[last] : 0;
-      const turns = solved ? trace.turns : last >= 0 ? rows.turns[last] : 0;
-      const energy = solved ? trace.energy_mj : last >= 0 ? rows.energy[last] : 0;
-      const more = solved && this.lesson.least ? trace.energy_mj / this.lesson.least - 1 : null;
-      const least = more === null ? null : more < 0.00005 ? el("span", { class: "wl-badge ok" }, "least energy") : el("span", { class: "wl-badge warn" }, `+${wl.number(100 * more, 1)} %`);
+      const { trace, done } = this, last = done - 1;
+      const mark = this.ended && trace.solved ? this.mark() : null;
       this.counts.dataset.done = String(done);
       this.counts.dataset.open = String(this.opened);
       this.counts.replaceChildren(
-        el("dl", {},
-          item(`${wl.number(done)} / ${wl.number(trace.expanded)}`, "expanded"),
-          item(wl.number(this.opened), "open"),
-          item(wl.number(metres), "m"),
-          item(wl.number(turns), turns === 1 ? "turn" : "turns"),
-          item(wl.number(energy / 1000, 1), "J")),
-        el("p", { class: this.ended ? "wl-lesson-end" : "wl-hint" }, ...(this.ended ? [least || "", least ? " " : "", trace.status] : [ last >= 0 ? this.step(last) : "The start is open. Step on."])));
+        el("dl", {}, this.item(`${wl.number(done)} / ${wl.number(trace.expanded)}`, "expanded"), this.item(wl.number(this.opened), "open"), ...this.totals(last)),
+        el("p", { class: this.ended ? "wl-lesson-end" : "wl-hint" }, ...(this.ended ? [mark || "", mark ? " " : "", trace.status] : [ last >= 0 ? this.step(last) : "The start is open. Step on."])));
+    }
+
+    item(value, word) { return el("div", {}, el("dd", {}, value), " ", el("dt", {}, word)); }
+
+    /** What the way to the expansion shown last takes, or the way found. */
+    totals(last) {
+      const { trace, rows } = this, solved = this.ended && trace.solved;
+      const metres = solved ? trace.length : last >= 0 ? rows.steps[last] : 0;
+      const turns = solved ? trace.turns : last >= 0 ? rows.turns[last] : 0;
+      const energy = solved ? trace.energy_mj : last >= 0 ? rows.energy[last] : 0;
+      return [this.item(wl.number(metres), "m"), this.item(wl.number(turns), turns === 1 ? "turn" : "turns"), this.item(wl.number(energy / 1000, 1), "J")];
+    }
+
+    /** How good the way found is among those of the other searches. */
+    mark() {
+      if (!this.lesson.least) return null;
+      const more = this.trace.energy_mj / this.lesson.least - 1;
+      return more < 0.00005 ? el("span", { class: "wl-badge ok" }, "least energy") : el("span", { class: "wl-badge warn" }, `+${wl.number(100 * more, 1)} %`);
     }
 
     /** An expansion in words. */
     step(i) {
       const { rows } = this, x = rows.cell[i] % this.floor.width, y = Math.floor(rows.cell[i] / this.floor.width);
-      return `#${i + 1}: (${x}, ${y})${rows.heading[i] >= 0 ? ` ${ARROWS[rows.heading[i]]}` : ""}  f ${this.unit(rows.g[i] + rows.h[i])} = g ${this.bare(rows.g[i])} + h ${this.bare(rows.h[i])}`;
+      return `#${i + 1}: (${x}, ${y})${rows.heading[i] >= 0 ? ` ${this.arrows[rows.heading[i]]}` : ""}  f ${this.unit(rows.g[i] + rows.h[i])} = g ${this.bare(rows.g[i])} + h ${this.bare(rows.h[i])}`;
     }
 
     /** The states of a cell, the best first. */
@@ -397,12 +413,13 @@
       if (this.floor.walls[cell]) return el("p", { class: "wl-hint" }, `${title}: an obstacle.`);
       if (!states.length) return el("p", { class: "wl-hint" }, `${title}: not reached yet.`);
       const { g, h, heading, row } = this.entries, cellOf = (text) => el("td", {}, text);
-      const body = states.slice(0, 9).map((i) => el("tr", {}, cellOf(heading[i] >= 0 ? ARROWS[heading[i]] : "·"), cellOf(this.bare(g[i])), cellOf(this.bare(h[i])), cellOf(this.bare(this.f(i))),
+      const body = states.slice(0, 9).map((i) => el("tr", {}, cellOf(heading[i] >= 0 ? this.arrows[heading[i]] : "·"), cellOf(this.bare(g[i])), cellOf(this.bare(h[i])), cellOf(this.bare(this.f(i))),
         cellOf(this.stateOf(i) === "closed" ? `#${row[i] + 1}` : "open"), cellOf(this.parent(i))));
       return el("figure", {}, el("figcaption", {}, `${title} [${this.trace.unit}]`),
         el("table", { class: "wl-lesson-table" }, el("thead", {}, el("tr", {}, ...["", "g", "h", "f", "order", "parent"].map((word) => el("th", {}, word)))), el("tbody", {}, ...body)));
     }
   }
 
+  Object.assign(wl, { SearchLesson, SearchPanel: Panel });
   wl.lessons.search = SearchLesson;
 })();

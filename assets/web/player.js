@@ -54,6 +54,7 @@
       if (this.playing && this.time >= this.end - 1e-9) this.seek(0, true);
       this.lastLoop = performance.now();
       if (this.playing) this.raf = requestAnimationFrame((now) => this._loop(now));
+      else this.show(this.time, false);   // what was asked for last may be a moment older
     }
 
     get asked() { return this.speed; }

@@ -156,12 +156,18 @@
 
     _beat() {
       if (this.gone) return;
-      if (!this.host.isConnected) { wl.bind(null); return; }   // another page has come
+      if (!this.host.isConnected) { wl.bind(this._redrawn() ? this.config : null); return; }
       const now = performance.now();
       this._showStatus(now);
       this._showTransport();
       this.panel.beat(now, this.time, this.follow);
       this._pulse(now);
+    }
+
+    /** Whether Dash has put a new map in place of ours, on the same page; otherwise another page has come. */
+    _redrawn() {
+      const pages = { operate: ["/", "/operate"], replay: ["/replay"] };
+      return !!document.getElementById("map") && pages[this.config.page].includes(location.pathname);
     }
 
     /** Asks Dash for what the open tab shows, when something changed and the last answer is in. */

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -46,6 +46,26 @@ class FloorView:
     levels: dict[str, float]
     must_charge: NDArray[np.uint8]  # (V,) below `good` and not yet back at `sufficient`
     blocked: NDArray[np.uint8]
+    order: NDArray[np.int32]  # (V,) order that a vehicle carries out now, or -1
+    failed: NDArray[np.int8]  # (V,)
+    paused: NDArray[np.int8]  # (V,)
+    exits: tuple[int, ...] = ()  # places of the exits when a dispatcher chooses among them; else orders say where
+    region: NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, np.int16))  # (P,) empty without regions
+    _near: dict[int, NDArray[np.int32]] = field(default_factory=dict)
+
+    def targets(self, order: int) -> list[int]:
+        """Places, not blocked, where an order may be brought; empty also when its load can't be fetched."""
+        book = self.orders
+        own = book.to_place[order]
+        if self.blocked[book.from_place[order]]:
+            return []
+        return [p for p in (self.exits if own in self.exits else (own,)) if not self.blocked[p]]
+
+    def may_take(self, vehicle: int, order: int) -> bool:
+        """Whether an order lies in a vehicle's region: vehicle v serves region v modulo their number."""
+        if not len(self.region):
+            return True
+        return bool(self.region[self.orders.from_place[order]] == vehicle % (int(self.region.max()) + 1))
 
     def soc(self, vehicle: int) -> float:
         """State of charge of a vehicle, 0 to 1."""
@@ -57,35 +77,49 @@ class FloorView:
         driving = (mj - ticks * self.standby_mj) * (self.heaviest if loaded else 1.0)
         return int(driving) + ticks * self.standby_mj + self.search.restart_mj
 
+    @property
+    def chargers(self) -> int:
+        """How many chargers work."""
+        return self.is_charger.tobytes().count(1)
+
     def to_charger_mj(self, place: int) -> int:
         """Energy of the way from a place to the nearest charger as the crow flies; 0 on a floor without."""
-        chargers = self.rests[self.is_charger[self.rests] == 1]
-        if len(chargers) == 0:
+        if not self.chargers:
             return 0
+        chargers = self.rests[self.is_charger[self.rests] == 1]
         away = np.abs(self.xy[chargers] - self.xy[place]).sum(axis=1)
         return self.need_mj(int(self.search.graph.place_ptr[place]), int(chargers[int(away.argmin())]), False)
 
     def nearest_rest(self, vehicle: int, place: int, chargers_only: bool, count: int = 3) -> list[int]:
         """The nearest free rest places by distance as the crow flies; the vehicle's own counts as free."""
-        rests = self.rests
-        taken = self.holder[rests]
-        ok = ((taken == NONE) | (taken == vehicle)) & (self.blocked[rests] == 0)
+        near = self.rests_by_distance(place)
+        taken = self.holder[near]
+        ok = ((taken == NONE) | (taken == vehicle)) & (self.blocked[near] == 0)
         if chargers_only:
-            ok &= self.is_charger[rests] == 1
-        some = rests[ok]
-        if len(some) == 0:
-            return []
-        away = np.abs(self.xy[some] - self.xy[place]).sum(axis=1)
-        return [int(some[i]) for i in np.argsort(away, kind="stable")[:count]]
+            ok &= self.is_charger[near] == 1
+        found: list[int] = near[ok][:count].tolist()
+        return found
+
+    def rests_by_distance(self, place: int) -> NDArray[np.int32]:
+        """All rest places, the nearest to a place first; sorted once per place."""
+        if place not in self._near:
+            away = np.abs(self.xy[self.rests] - self.xy[place]).sum(axis=1)
+            self._near[place] = self.rests[np.argsort(away, kind="stable")]
+        return self._near[place]
 
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """An order for a vehicle, and where the vehicle rests afterwards (candidates, best first)."""
+    """An order for a vehicle, and where the vehicle rests afterwards (candidates, best first).
+
+    target: place where it is brought, -1 for the order's own · note: how good the plan is that it comes from.
+    """
 
     order: int
     vehicle: int
     rests: tuple[int, ...]
+    target: int = NONE
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)

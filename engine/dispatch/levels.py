@@ -18,7 +18,7 @@ class Levels:
 
     def rests_after(self, view: FloorView, vehicle: int, place: int, mj_left: int) -> list[int]:
         """A charger when it will be below `good` then; else where idle vehicles stand."""
-        chargers = int(view.is_charger.sum())
+        chargers = view.chargers
         low = mj_left < view.levels["good"] * view.capacity_mj[vehicle]
         plenty = chargers >= len(view.home)
         if low or plenty:

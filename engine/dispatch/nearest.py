@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from engine.dispatch.base import NOBODY_FREE, SAFETY, Assignment, ChargingPolicy, FloorView, Refusal
 from engine.planners.base import NO_WAY
+from engine.types import NONE
 
 
 @dataclass(frozen=True)
@@ -39,14 +40,20 @@ class Nearest:
             left.remove(found.vehicle)
         return out, refused
 
-    def choose(self, view: FloorView, order: int, left: list[int], taken: set[int]) -> Assignment | Refusal:
-        """The nearest of the vehicles left that can carry an order, or why none can."""
-        a, b = view.orders.from_place[order], view.orders.to_place[order]
+    def choose(
+        self, view: FloorView, order: int, left: list[int], taken: set[int], target: int = NONE
+    ) -> Assignment | Refusal:
+        """The nearest of the vehicles left that can carry an order, to a target or its own; or why none can."""
+        a = view.orders.from_place[order]
+        b = view.orders.to_place[order] if target == NONE else target
         if view.blocked[a] or view.blocked[b]:
             return Refusal(order, "its station is blocked")
         near = sorted(zip(view.search.ticks_from(a, view.at[left]).tolist(), left, strict=True))
         reason = "no vehicle can reach its station"
         for ticks, v in near:
+            if not view.may_take(v, order):
+                reason = "no vehicle of its region is free"
+                continue
             if ticks >= NO_WAY:
                 break
             spare = int(view.charge_mj[v] - view.levels["reserve"] * view.capacity_mj[v]) - self.need(view, v, a, b)

@@ -60,7 +60,7 @@ class Battery:
             raise BadInput(f"a battery's capacity_mc must be positive; got {self.capacity_mc}")
 
     @cached_property
-    def _below(self) -> I64:
+    def below_mv(self) -> I64:
         """(POINTS,) sum of the voltages of all samples before each one."""
         return np.concatenate([[0], np.cumsum(self.voltage_mv[:-1], dtype=np.int64)])
 
@@ -69,7 +69,14 @@ class Battery:
         last = POINTS - 1
         at = np.minimum(np.maximum(charge_mc, 0) * last // self.capacity_mc, last)
         over = np.maximum(charge_mc, 0) * last - at * self.capacity_mc
-        return (self._below[at] * self.capacity_mc + self.voltage_mv[at] * over) // (1000 * last)
+        return (self.below_mv[at] * self.capacity_mc + self.voltage_mv[at] * over) // (1000 * last)
+
+    def energy_of(self, charge_mc: int) -> int:
+        """The same of one charge."""
+        last, charge_mc = POINTS - 1, max(charge_mc, 0)
+        at = min(charge_mc * last // self.capacity_mc, last)
+        over = charge_mc * last - at * self.capacity_mc
+        return (int(self.below_mv[at]) * self.capacity_mc + int(self.voltage_mv[at]) * over) // (1000 * last)
 
     def accept_mj(self, tick_s: float) -> I64:
         """(POINTS,) most energy in mJ that may flow in per tick."""

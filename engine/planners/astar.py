@@ -4,7 +4,7 @@ Source: Hart, Nilsson & Raphael 1968. Complete; optimal with every heuristic her
 bound (manhattan only where no diagonal is driven). Which of many shortest ways it returns is its tie rule's doing:
 `fifo` takes equal f in the order of their insertion (neighbours east, north, west, south), `lifo` the latest first,
 `larger-g` the one farthest from the start, `random` any, by its seed. Cost: about 30 ns per expansion for whole-cell
-heuristics with fifo or lifo (buckets), five times that otherwise (a heap).
+heuristics with fifo or lifo (lists of equal f), ten times that otherwise (a heap).
 """
 
 from __future__ import annotations
@@ -53,32 +53,33 @@ class AStar:
 
         Trace: nodes are places, g, h and f mm.
         """
-        ground, work = floor.grounds, floor.place_work
-        places = floor.graph.n_places
+        ground, places = floor.grounds, floor.graph.n_places
         out = np.zeros(4, np.int64)
         rows = single.new_trace(places if trace else 0)
         if floor.blocked[start] or floor.blocked[goal]:
             return Way(PlanStatus.NO_PATH, np.zeros(0, np.int32), -1, 0)
         rule, tie = HEURISTICS[self.heuristic], TIES[self.tie]
-        cell = int(ground.length[0])
+        cell, four = int(ground.length[0]), ground.step.shape[1] == 4
         table = np.zeros(0, np.int32)
         if rule == single.TABLE:
+            if not four:
+                raise ScenarioError("the heuristic 'table' serves 4-connected grids")
             table = np.full(places + 1, -1, np.int32)
             single.steps_to(floor.back, goal, table, np.zeros(places, np.int32))
-        four = ground.step.shape[1] == 4
-        buckets = four and self.heuristic in WHOLE and self.tie in ("fifo", "lifo")
+        # against a one-way step the table may change by more than one
+        whole = self.heuristic in WHOLE and (rule != single.TABLE or floor.two_way)
+        buckets = four and whole and self.tie in ("fifo", "lifo")
         unit = cell if buckets else 1
-        best = work.best if buckets else np.zeros(places + 1, np.int32)
         if buckets:
+            best = floor.place_work.best
             status = single.astar_unit(
-                ground.step, ground.xy, work, start, goal, rule, table, self.tie == "lifo", limit, rows, out
+                floor.lattice, floor.place_work, start, goal, rule, table, self.tie == "lifo", limit, rows, out
             )
         else:
+            best = np.zeros(places + 1, np.int32)
             long_table = np.where(table < 0, FAR, table.astype(np.int64) * cell)
-            if len(table) and not four:
-                raise ScenarioError("the heuristic 'table' serves 4-connected grids")
             status = single.astar_any(
-                ground.step, ground.xy, ground.length, best, start, goal, rule, long_table, tie, self.seed,
+                ground.step, floor.back, ground.xy, ground.length, best, start, goal, rule, long_table, tie, self.seed,
                 limit, rows, out,
             )  # fmt: skip
         kept = columns(rows, int(out[2]))
@@ -86,6 +87,9 @@ class AStar:
         if status != single.SOLVED:
             return Way(STATUS[status], np.zeros(0, np.int32), -1, int(out[1]), kept)
         buffer = np.zeros(int(out[0]) * unit // cell + 1, np.int32)
-        n = single.way_back(floor.back, best, start, goal, buffer)
+        if buckets:
+            single.trail(floor.lattice, best, goal, buffer)
+        else:
+            buffer = buffer[: single.way_back(floor.back, best, start, goal, buffer)]
         begin = None if heading is None else start * floor.per_place + 2 * heading
-        return Way(PlanStatus.SOLVED, floor.along(buffer[:n], begin), int(out[0]) * unit, int(out[1]), kept)
+        return Way(PlanStatus.SOLVED, floor.along(buffer, begin), int(out[0]) * unit, int(out[1]), kept)

@@ -44,6 +44,7 @@ class Search(Protocol):
 
     graph: MotionGraph
     restart_mj: int  # most that a stop and a new start can add to a motion
+    room: dict[str, Any]  # space that searches leave to their next call; nothing depends on what is in it
 
     @property
     def time(self) -> Rows:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from engine.planners.kernels import cbs_high as high
 from engine.planners.kernels import cbs_low as low
+from engine.planners.kernels import cbs_pair as pair
 from engine.planners.kernels.tables import FAR
 from engine.planners.oneshot import Limits, Problem, Solution
 from engine.types import Component, PlanStatus
@@ -22,16 +23,16 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
 MILLION = 1_000_000
-CHUNK_NODES, CHUNK_WORK = 200, 500_000
-"""Work between two looks at the limits."""
-PAIR_NODES, PAIR_WORK = 200, 500_000
-"""Work for the optimum of one pair; what is proven by then is its bound."""
+CHUNK_NODES, CHUNK_WORK = 200, 400_000
+"""Nodes and steps of work between two looks at the limits: below 0.1 s."""
+PAIRS, PAIR_EXPANSIONS = 1 << 17, 20_000
+"""Room and work for the optimum of two vehicles; what is proven by then is their bound."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
     """What the tree may do. cover: 0 none, 1 CG, 2 DG, 3 WDG · pairs: bounds from the optima of pairs · tries:
-    prioritized orders for the incumbent.
+    prioritized orders for the incumbent · repairs: times per vehicle that a part of it is planned anew.
     """
 
     disjoint: bool = True
@@ -42,6 +43,7 @@ class Settings:
     target: bool = True
     branch: bool = False
     tries: int = 4
+    repairs: int = 0
     w: float = 1.0
     weights: tuple[float, float, float] = (0.3, 0.3, 0.3)
 
@@ -272,17 +274,21 @@ def _shuffles(n: int, tries: int) -> I32:
     return np.array([rng.permutation(n) for _ in range(tries)], np.int32).reshape(tries, n)
 
 
-def orders_of(h0: I64, tries: int) -> I32:
-    """Orders for the incumbent: longest way first, shortest first, then seeded shuffles."""
-    first = np.argsort(h0, kind="stable").astype(np.int32)
-    return np.concatenate([first[None, ::-1], first[None], _shuffles(len(h0), max(tries - 2, 0))])[:tries]
+def orders_of(h0: I64, tries: int, repairs: int) -> I32:
+    """Orders for the incumbent: longest way first, shortest first, then seeded shuffles; none without tries."""
+    first, more = np.argsort(h0, kind="stable").astype(np.int32), repairs * len(h0) if tries else 0
+    shuffles = _shuffles(len(h0), max(tries - 2, 0) + more)
+    return np.concatenate([np.stack([first[::-1], first])[:tries], shuffles])
 
 
 def solve_tree(
-    problem: Problem, limits: Limits, settings: Settings, *, energy: bool, trace: bool
-) -> tuple[Solution, bool, list[I32]]:
-    """Run the tree. The solution has no states yet: they are the third value, as places where the
-    second is true."""
+    problem: Problem, limits: Limits, settings: Settings, *, energy: bool, trace: bool,
+    later: Callable[[], None] = lambda: None,
+) -> tuple[Solution, bool, list[I32]]:  # fmt: skip
+    """Run the tree. The solution has no states yet: they are the third value, as places where the second is true.
+
+    later: called once when a first chunk of work doesn't suffice.
+    """
     n = len(problem.starts)
     note = _refused(problem)
     if note:
@@ -298,20 +304,22 @@ def solve_tree(
     goals = np.ascontiguousarray(problem.goals, np.int32)
     cls = np.ascontiguousarray(problem.cls, np.int32) if energy else np.zeros(n, np.int32)
     for k in range(n):
+        if limits.stop():
+            return Solution(PlanStatus.BUDGET_SPENT, (), 0, 0, 0, 0), on_places, []
         low.fill_cost_to_goal(roads, cls[k], goals[k], problem.blocked, room.h[k], room.keys, room.items)
     h0 = room.h[np.arange(n), starts]
     if (h0 >= FAR).any():
         k = int(np.argmax(h0 >= FAR))
         return Solution(PlanStatus.NO_PATH, (), 0, 0, 0, 0, f"vehicle {k} has no way to its goal"), on_places, []
+    orders = orders_of(h0, settings.tries, settings.repairs if n > 2 else 0)
     case = high.Case(
-        starts, goals, cls, room.h, _mass(problem), np.array(settings.weights), orders_of(h0, settings.tries),
-        np.zeros((n, n), np.int64),
+        starts, goals, cls, room.h, _mass(problem), np.array(settings.weights), orders, np.zeros((n, n), np.int64)
     )  # fmt: skip
     options = settings.options()
     _begin(room)
     if settings.pairs and n > 2 and _go(room, case, options, replace(limits, nodes=0)) == high.MORE:
-        _pair_costs(room, _room((graph if energy else roads), roads, 2), case, options, limits)
-    ended = _go(room, case, options, limits)
+        _pair_costs(room, case, limits)
+    ended = _go(room, case, options, limits, later)
     return _answer(room, graph, settings, ended, energy, trace), on_places, _ways(room)
 
 
@@ -323,18 +331,23 @@ def _begin(room: _Room) -> None:
     num[high.PAIR_STAMP], num[high.BEST_COST] = stamp, high.NEVER
 
 
-def _go(room: _Room, case: high.Case, options: I64, limits: Limits) -> int:
+def _go(
+    room: _Room, case: high.Case, options: I64, limits: Limits, later: Callable[[], None] | None = None
+) -> int:  # fmt: skip
     """Run the tree within limits, making room where it runs short; how it ended."""
     while True:
         num = room.tree.num
         nodes = min(limits.nodes - int(num[high.HIGH]), CHUNK_NODES)
-        work = min(limits.expansions - int(num[high.LOW]), CHUNK_WORK)
         ended = int(
             high.run(
-                room.roads, room.work, case, room.tree, room.desk, room.layers[0], room.layers[1], options, nodes, work
+                room.roads, room.work, case, room.tree, room.desk, room.layers[0], room.layers[1], options, nodes,
+                limits.expansions - int(num[high.LOW]), CHUNK_WORK,
             )
-        )
+        )  # fmt: skip
         num = room.tree.num
+        if ended == high.MORE and later is not None:
+            later()
+            later = None
         if ended == high.GROW:
             room.grow()
         elif ended != high.MORE:
@@ -344,21 +357,23 @@ def _go(room: _Room, case: high.Case, options: I64, limits: Limits) -> int:
             return ended
 
 
-def _pair_costs(room: _Room, two: _Room, case: high.Case, options: I64, limits: Limits) -> None:
+@cache
+def _pair_work(steps: int) -> pair.PairWork:
+    return pair.new_pair_work(PAIRS, steps)
+
+
+def _pair_costs(room: _Room, case: high.Case, limits: Limits) -> None:
     """Fill case.pair for the pairs in conflict at the root: what they cost at least, alone with each other."""
-    desk, options = room.desk, options.copy()
-    options[high.PAIRED], options[high.COVER], options[high.W_MILLION] = 0, 0, MILLION
-    found = int(desk.found[0])
+    desk, roads = room.desk, room.roads
+    work = _pair_work(int(np.diff(roads.ptr).max(initial=0)) * 2 + 4)
+    out, found = np.zeros(2, np.int64), int(desk.found[0])
     for i, j in sorted(set(zip(desk.a[:found].tolist(), desk.b[:found].tolist(), strict=True))):
-        both = np.array([i, j])
-        alone = high.Case(
-            case.start[both], case.goal[both], case.cls[both], case.h[both], case.mass[both], case.weights,
-            np.array([[0, 1], [1, 0]], np.int32), np.zeros((2, 2), np.int64),
-        )  # fmt: skip
-        _begin(two)
-        _go(two, alone, options, replace(limits, nodes=PAIR_NODES, expansions=PAIR_WORK))
-        case.pair[i, j] = case.pair[j, i] = two.tree.num[high.BOUND]
-        room.tree.num[high.LOW] += two.tree.num[high.LOW]
+        if limits.stop():
+            return
+        ended = pair.pair_cost(roads, work, case.h, case.cls, case.start, case.goal, i, j, PAIR_EXPANSIONS, out)
+        if ended != low.NONE:
+            case.pair[i, j] = case.pair[j, i] = out[0]
+        room.tree.num[high.LOW] += out[1]
 
 
 def _ways(room: _Room) -> list[I32]:

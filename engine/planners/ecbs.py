@@ -20,7 +20,7 @@ from engine.types import PlanStatus
 class ECBS:
     """w: proven factor of suboptimality · weights: w1, w2, w3 of eq. 14 (mass, way left, conflicts) · disjoint,
     cardinal, bypass, target, pairs (bounds from the optima of pairs): each changes the work, never the cost · tries:
-    orders of prioritized planning for a first plan.
+    orders of prioritized planning for a first plan · repairs: times per vehicle that a part of it is planned anew.
     """
 
     w: float = 1.0
@@ -32,6 +32,7 @@ class ECBS:
     target: bool = True
     pairs: bool = True
     tries: int = 12
+    repairs: int = 10
 
     promise = at_once(
         "the least energy of all vehicles together, all at once", optimal="for the fleet, in energy", complete=True,
@@ -43,15 +44,22 @@ class ECBS:
         settings = Settings(
             disjoint=self.disjoint and not self.priority_branch, cardinal=self.cardinal, bypass=self.bypass,
             target=self.target, pairs=self.pairs and not self.priority_branch, branch=self.priority_branch,
-            tries=0 if self.priority_branch else self.tries,
+            tries=0 if self.priority_branch else self.tries, repairs=self.repairs,
             w=self.w, weights=self.weights,
         )  # fmt: skip
-        found, _, ways = solve_tree(problem, limits, settings, energy=True, trace=trace)
+        # a search that doesn't finish is never worse than time windows, which are laid early, before time is up
+        aside: list[Solution] = []
+
+        def lay_windows() -> None:
+            if not aside and not self.priority_branch and serves_windows(problem):
+                aside.append(TimeWindow().solve(problem, Limits(stop=limits.stop)))
+
+        found, _, ways = solve_tree(problem, limits, settings, energy=True, trace=trace, later=lay_windows)
         found = replace(found, states=tuple(ways)) if ways else found
-        if found.status is not PlanStatus.BUDGET_SPENT or self.priority_branch or not serves_windows(problem):
+        if found.status is not PlanStatus.BUDGET_SPENT:
             return found
-        # a search that didn't finish is never worse than time windows
-        windows = TimeWindow().solve(problem, Limits())
+        lay_windows()
+        windows = aside[0] if aside else found
         if not windows.states or (found.states and found.cost <= windows.cost):
             return found
         return replace(found, states=windows.states, cost=windows.cost, note="the plan is that of time windows")

@@ -101,7 +101,7 @@ def _legs(view: View, way: Callable[[Floor, int, int, int], Way]) -> Sequence[I3
     """Edges of every leg of the view's request, by a search (floor, place, goal, heading); empty for no way."""
     g, state, legs = view.graph, view.request.state, []
     for leg in view.request.legs:
-        found = way(_floor(view, leg.loaded), int(g.state_place[state]), leg.place, int(g.state_heading[state]))
+        found = way(floor_of(view, leg.loaded), int(g.state_place[state]), leg.place, int(g.state_heading[state]))
         if found.status is not PlanStatus.SOLVED:
             return []
         legs.append(edges_along(g, found.states))
@@ -123,13 +123,13 @@ _FLOORS: list[tuple[MotionGraph, CostTable, bool, Floor]] = []
 """Rooms and tables of the latest floors; nothing in them outlives a search but what follows from the floor."""
 
 
-def _floor(view: View, loaded: bool) -> Floor:
+def floor_of(view: View, loaded: bool) -> Floor:
     """The floor with its present blocks, and the costs of an empty or a loaded vehicle."""
     for graph, costs, load, floor in _FLOORS:
         if graph is view.graph and costs is view.costs and load == loaded:
             if not np.array_equal(floor.blocked, view.blocked):
                 floor.blocked[:] = view.blocked
-                for name in ("grounds", "back"):
+                for name in ("grounds", "back", "two_way", "lattice"):
                     floor.__dict__.pop(name, None)
             return floor
     c = view.costs

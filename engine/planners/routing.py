@@ -29,12 +29,15 @@ def route_legs(view: View, cost: I64, tables: Rows) -> Sequence[I32]:
 
 def route_by(view: View, cost: I64, pool: I64, slots: I32, goals: I32) -> Sequence[I32]:
     """The same with any estimates: row slots[i] of pool for leg i."""
-    g, r = view.graph, view.request
+    g, r, room = view.graph, view.request, view.search.room
+    if "route" not in room:
+        room["route"] = new_work(g.n_states, g.n_edges), np.empty(g.n_places, np.uint8)
+    work, closed = room["route"]
     stays = np.array([leg.stay_ticks for leg in r.legs], np.int32)
     out, upto = np.empty(len(goals) * (g.n_states // 2), np.int32), np.zeros(len(goals), np.int32)
     found = route(
-        view.claims, ground_of(g, view.blocked), new_work(g.n_states, g.n_edges), cost, pool, slots,
-        np.empty(g.n_places, np.uint8), r.vehicle, r.state, goals, stays, out, upto,
+        view.claims, ground_of(g, view.blocked), work, cost, pool, slots, closed, r.vehicle, r.state, goals, stays,
+        out, upto,
     )  # fmt: skip
     ends = upto.tolist()
     return [out[a:b] for a, b in zip([0, *ends], ends, strict=False)] if found else []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ from engine.planners.base import Budget, Plan, View, no_plan
 from engine.planners.kernels import sipp
 from engine.planners.kernels.tables import TICK, Tables, packed, packed_energy
 from engine.traffic import FAR, STAY, Claims, ground_of
-from engine.types import FOREVER, Occupancy, PlanStatus
+from engine.types import Occupancy, PlanStatus
 from engine.world.motion_graph import MotionGraph
 
 _STATUS = {
@@ -31,6 +33,7 @@ class FloorSearch:
         pivots = any(p.pivot for p in graph.primitives)
         self.time = Tables(graph, packed(graph.kind_ticks, least), poses=not pivots)
         self.energy = Tables(graph, packed_energy(graph.kind_ticks, least), poses=False)
+        self.room: dict[str, Any] = {}
         self._by_edge: dict[str, tuple[int, Tables]] = {}
         self._work = sipp.new_work(1 << 14, 1)
         self._out = np.zeros(2, np.int64)
@@ -72,11 +75,10 @@ class FloorSearch:
             return no_plan(PlanStatus.INCONSISTENT, note="a request without goals")
         if len(r.legs) > sipp.MAX_LEGS:
             return no_plan(PlanStatus.INCONSISTENT, note=f"a request with more than {sipp.MAX_LEGS} goals")
-        by = [r.tick] * (len(r.legs) - 1) + [FOREVER]
-        if any(taken_for_good(view.claims, leg.place, tick) for leg, tick in zip(r.legs, by, strict=True)):
-            return no_plan(PlanStatus.NO_PATH)
         goals = np.array([leg.place for leg in r.legs], np.int32)
         stays = np.array([leg.stay_ticks for leg in r.legs], np.int32)
+        if sipp.a_goal_is_taken(view.claims, goals, r.tick):
+            return no_plan(PlanStatus.NO_PATH)
         tables = self.time if objective == "time" else self.energy
         wanted = set(goals.tolist())
         slots = np.array([tables.slot(goal, wanted) for goal in goals.tolist()], np.int32)
@@ -123,14 +125,6 @@ class FloorSearch:
     def _long_trail(self, node: int) -> int:
         self._steps = [np.zeros(len(self._work.state), np.int32) for _ in range(3)]
         return int(sipp.trail(self._work, node, *self._steps))
-
-
-def taken_for_good(claims: Claims, place: int, tick: int) -> bool:
-    """True when somebody stays in a place with no end known, at a tick or before it."""
-    slot = place
-    while claims.next[slot] >= 0:
-        slot = int(claims.next[slot])
-    return bool(claims.end[slot] >= FOREVER and claims.start[slot] <= tick)
 
 
 def settled(claims: Claims) -> int:

@@ -72,9 +72,19 @@ class Floor:
         return back
 
     @cached_property
+    def two_way(self) -> bool:
+        """Whether every step can be gone back."""
+        return bool((self.back == self.grounds.step).all())
+
+    @cached_property
+    def lattice(self) -> single.Lattice:
+        """The same places as cells in rows. Raises ValueError unless they are a 4-connected grid's."""
+        return single.lattice_of(self.grounds)
+
+    @cached_property
     def place_work(self) -> single.PlaceWork:
-        """Room of searches over places."""
-        return single.new_place_work(self.graph.n_places)
+        """Room of searches over cells."""
+        return single.new_place_work(self.lattice)
 
     def mj(self, cls: int = 0) -> I64:
         """Energy of each primitive, standby included, of an empty vehicle."""

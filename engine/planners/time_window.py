@@ -44,6 +44,8 @@ class TimeWindow:
         low = 0
         eea = Eea()
         for a, (s, goal) in enumerate(zip(problem.starts.tolist(), problem.goals.tolist(), strict=True)):
+            if limits.stop():
+                return desk.none(PlanStatus.BUDGET_SPENT, "time ran out", low=low)
             heading = s % desk.floor.per_place // 2
             found = eea.search(desk.floor, s >> shift, goal, cls=int(problem.cls[a]), heading=heading)
             low += found.expanded
@@ -59,6 +61,8 @@ class TimeWindow:
             mj, how = np.zeros(n, np.int64), np.zeros(n, np.int8)
             failed = -1
             for a in order.tolist():
+                if limits.stop():
+                    return desk.none(PlanStatus.BUDGET_SPENT, "time ran out", int(alone.sum()), low=low)
                 states[a], mj[a], how[a], expanded = self._timed(
                     desk, a, routes[a], int(alone[a]), limits.expansions - low
                 )

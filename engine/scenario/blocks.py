@@ -6,6 +6,8 @@ their direction, and two-lane main roads. Crossings are open to all sides, so th
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,7 @@ def rows_of_blocks(
     racks: int,
     inbound: int,
     outbound: int,
+    exits: int,
     chargers: int,
     parking: int,
 ) -> tuple[str, ...]:
@@ -33,7 +36,7 @@ def rows_of_blocks(
 
     Blocks are block_width × block_height cells of storage. Racks and parking bays replace storage cells beside an
     aisle; stations and chargers replace wall cells beside the ring road: inbound west, outbound east, chargers south,
-    then north.
+    then north. Exits are outbound stations too, at the ends of the eastbound lanes of aisles.
     """
     across = _lanes(columns, block_width, aisle_width, main_every, first=-1)  # the northbound lane lies east
     along = _lanes(rows, block_height, aisle_width, main_every, first=1)  # the eastbound lane lies south
@@ -67,6 +70,11 @@ def rows_of_blocks(
     north = [(height - 1, x) for x in range(1, width - 1) if cells[height - 2, x] in "><"]
     west = [(y, 0) for y in range(height - 2, 0, -1) if cells[y, 1] in "^v"]
     east = [(y, width - 1) for y in range(height - 2, 0, -1) if cells[y, width - 2] in "^v"]
+    ends = [(y, x) for y in _from_middle(along) for x in (0, width - 1)]
+    if exits > len(ends):
+        raise BadInput(f"there is room for {len(ends)} exits at the ends of aisles; {exits} were asked for")
+    for end in ends[:exits]:
+        cells[end] = "O"
     _place(cells, west, inbound, "I", "inbound stations on the west side")
     _place(cells, east, outbound, "O", "outbound stations on the east side")
     if chargers > len(south):
@@ -104,6 +112,12 @@ def _runs(lanes: list[int]) -> list[tuple[int, int]]:
         if lanes[i] == 0:
             runs = [*runs[:-1], (runs[-1][0], i)] if runs and runs[-1][1] == i - 1 else [*runs, (i, i)]
     return runs
+
+
+def _from_middle(lanes: list[int]) -> list[int]:
+    """First lanes of the aisles between the blocks, the ring road left out, the middle one first."""
+    aisles = [below + 1 for (_, below), _ in pairwise(_runs(lanes))]
+    return sorted(aisles, key=lambda y: (abs(2 * y + 1 - len(lanes)), y))
 
 
 def _shares(n: int, parts: int) -> list[int]:

@@ -213,7 +213,7 @@ def _rest_places(scenario: Scenario, world: World) -> Iterator[Finding]:
         yield Finding("warning", "rest places", text)
     else:
         yield Finding("ok", "rest places", f"{have} for {fleet} vehicles")
-    if not chargers and scenario.battery.exchange == "none":
+    if not chargers and scenario.battery.exchange == "off":
         yield Finding("warning", "rest places", "the floor has no charger: an empty battery stays empty")
 
 

@@ -43,6 +43,9 @@ def problems_of(scenario: Scenario) -> list[Problem]:
         return problems  # stations and cells can't be named on a floor that is wrong
     if scenario.floor.kind == "network":
         return [*problems, *_network(scenario)]
+    if scenario.battery.exchange == "charge":
+        text = "only the entrances of a network charge; on other floors draw chargers (C)"
+        problems.append(Problem(("battery", "exchange"), text))
     cells = cells_from_rows(scenario.floor.drawing())
     counts = {kind: int((cells == ord(letter)).sum()) for letter, kind in STATIONS.items()}
     return [*problems, *_access(scenario, cells), *_orders(scenario, counts, cells), *_fleet(scenario, cells)]

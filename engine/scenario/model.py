@@ -6,7 +6,7 @@ import math
 from functools import lru_cache
 from typing import Annotated, Any, Literal
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, field_validator
 
 from engine.errors import BadInput, unknown_name
 from engine.scenario.blocks import rows_of_blocks
@@ -60,6 +60,9 @@ class BlocksSection(Section):
     racks: int = Field(default=32, ge=0, description="Racks that orders name, spread evenly over the blocks")
     inbound: int = Field(default=3, ge=0, description="Inbound stations, on the west side")
     outbound: int = Field(default=3, ge=0, description="Outbound stations, on the east side")
+    exits: int = Field(
+        default=0, ge=0, description="Further outbound stations at the ends of aisles, west and east, the middle first"
+    )
     chargers: int = Field(default=8, ge=0, description="Chargers, on the south side, then on the north side")
     parking: int = Field(default=8, ge=0, description="Parking bays, spread evenly over the blocks")
 
@@ -181,6 +184,9 @@ class FloorSection(Section):
     connectivity: Literal[4, 8] = Field(default=4, description="Neighbours of a cell")
     occupancy: Literal["hold", "mapf"] = Field(default="hold", description="How vehicles exclude each other")
     margin_ticks: int = Field(default=0, ge=0, le=100, description="Ticks that a place stays closed after it was left")
+    one_way: Literal["lanes", "ways"] = Field(
+        default="lanes", description="ways: crossings too may be driven only in the directions of their lanes"
+    )
     access: dict[str, Literal["south", "north", "west", "east"]] = Field(
         default_factory=dict, description="Side on which an endpoint is entered, by its name, such as R7"
     )
@@ -245,14 +251,20 @@ class BatterySection(Section):
     model: str = Field(default="coulomb", min_length=1, description="Battery model, joules to state of charge")
     capacity_wh: Positive = Field(default=1000.0, description="Energy of a full battery")
     voltage_v: Positive = Field(default=48.0, description="Nominal voltage")
-    exchange: Literal["none", "swap"] = Field(
-        default="none",
-        description="swap: who loads or unloads at an entrance gets a full battery when below charging.good",
+    exchange: Literal["off", "swap", "charge"] = Field(
+        default="off",
+        description="At entrances. swap: who loads or unloads there below charging.good gets a full battery. "
+        "charge: on a network they are chargers, too",
     )
     initial_soc: SoC | tuple[SoC, SoC] = Field(
         default=1.0, description="State of charge at the start; [low, high] is drawn per vehicle from the seed"
     )
     parameters: dict[str, float] = Field(default_factory=dict, description="Parameters of the battery model")
+
+    @field_validator("exchange", mode="before")
+    @classmethod
+    def _off(cls, value: object) -> object:
+        return "off" if value == "none" else value  # the word in older runs
 
     @property
     def asked(self) -> dict[str, Any]:
@@ -312,6 +324,19 @@ class OrdersSection(Section):
 
 class DispatchSection(Section):
     policy: str = Field(default="nearest", min_length=1, description="Who takes which order")
+    exits: Literal["as ordered", "any outbound"] = Field(
+        default="as ordered",
+        description="any outbound: what is ordered to an outbound station may be brought to any; the dispatcher "
+        "chooses",
+    )
+    regions: int = Field(
+        default=0,
+        ge=0,
+        le=100,
+        description="Strips of the floor from west to east; vehicle v takes orders from strip v, counted round; 0: "
+        "none",
+    )
+    parameters: dict[str, int] = Field(default_factory=dict, description="Parameters of the dispatcher")
 
 
 class PlannerSection(Section):
@@ -375,6 +400,7 @@ class Scenario(Section):
                 kerbs=(self.floor.network or NetworkSection()).kerbs,
                 occupancy=Occupancy(self.floor.occupancy),
                 margin_ticks=self.floor.margin_ticks,
+                entrances_charge=self.battery.exchange == "charge",
             )
         return FloorPlan(
             rows=self.floor.drawing(),
@@ -390,6 +416,7 @@ class Scenario(Section):
             connectivity=self.floor.connectivity,
             occupancy=Occupancy(self.floor.occupancy),
             margin_ticks=self.floor.margin_ticks,
+            one_way=self.floor.one_way,
         )
 
     def terrain_plan(self) -> TerrainPlan:

@@ -131,6 +131,7 @@ def restore(sim: Simulation, folder: Path, plain: dict[str, Any]) -> None:
     sim.thresholds.update(own.pop("thresholds"))
     for name, value in own.items():
         setattr(sim, name, value)
+    sim.tick = plain["tick"]
     sim.reasons = {int(k): v for k, v in plain["reasons"].items()}
     sim.not_before = {int(k): v for k, v in plain["not_before"].items()}
     sim.set_book(OrderBook.from_plain(plain["book"]))

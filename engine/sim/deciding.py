@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from engine.dispatch.base import NOBODY_FREE
 from engine.planners.base import Leg
-from engine.sim import operating, planning, recovery, together
-from engine.sim.state import ARRIVED, CHARGED, EMPTY, ORDER_DONE, PICKED, STALLED
+from engine.sim import kernels, operating, planning, recovery, together
+from engine.sim.state import ARRIVED, CHARGED, EMPTY, ORDER_DONE, PICKED, RESTLESS, STALLED
 from engine.types import FOREVER, NONE, Activity, OrderState, PlanStatus, StationKind, Task
 from engine.units import ticks_from_s
 
@@ -31,7 +29,6 @@ def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
     if not (news or broken or more or sim.plan_all or unplanned_work(sim)):
         planning.retime(sim)
         return
-    sim.source.see(len(sim.book.open))
     take_orders(sim)
     if broken:
         recovery.break_and_repair(sim)
@@ -40,8 +37,12 @@ def decide(sim: Simulation, broken: bool, more: bool = True) -> None:
     refresh_view(sim)
     charging(sim)
     dispatch(sim)
+    while more_orders(sim) and free_vehicles(sim):
+        dispatch(sim)
     planning.retime(sim)
-    if unplanned_work(sim):
+    restless = unplanned_work(sim)
+    sim.clock[RESTLESS] = int(restless or len(sim.goals) > 0)
+    if restless:
         sim.retry = sim.tick + max(1, ticks_from_s(recovery.RETRY_S, sim.tick_s))
     check_done(sim)
 
@@ -57,6 +58,12 @@ def take_orders(sim: Simulation) -> bool:
         add_order(sim, a, b, source=0)
         taken = True
     return taken
+
+
+def more_orders(sim: Simulation) -> bool:
+    """Let the source see how many orders are open, and take what comes at once."""
+    sim.source.see(len(sim.book.open))
+    return take_orders(sim)
 
 
 def add_order(sim: Simulation, a: int, b: int, source: int) -> int:
@@ -77,17 +84,26 @@ def order_row(sim: Simulation, order: int, tick: int | None = None) -> None:
     )  # fmt: skip
 
 
-def read_marks(sim: Simulation) -> bool:
-    """Take note of what the kernel tells; False when loads were picked up and nothing else happened."""
+def read_marks(sim: Simulation, before: int = FOREVER) -> bool:
+    """Take note of what the kernel tells, but for the marks of later ticks; False when loads were picked up at most.
+
+    Marks of earlier ticks are loads for which nobody had to be asked; they go into the log before what comes now.
+    """
     sink = sim.sink
     n = int(sink.filled[3])
+    if n == 0 or sink.marks[0, 0] >= before:
+        return False
     marks = sink.marks[:n].tolist()
-    sink.filled[3] = 0
+    later = [mark for mark in marks if mark[0] >= before]
+    sink.marks[: len(later)] = sink.marks[n - len(later) : n]
+    sink.filled[3] = len(later)
+    marks = marks[: n - len(later)]
     for tick, v, bit, order in marks:
         if bit == PICKED:
             sim.book.state[order] = int(OrderState.PICKED)
             order_row(sim, order, tick)
-            exchange(sim, v, sim.book.from_station[order])
+            if tick == sim.tick:
+                exchange(sim, v, sim.book.from_station[order])
         elif bit == ORDER_DONE:
             order_done(sim, tick, v, order)
         elif bit == ARRIVED:
@@ -99,7 +115,8 @@ def read_marks(sim: Simulation) -> bool:
             sim.must_charge[v] = 0
         elif bit == EMPTY:
             sim.say("stranded", f"vehicle {v} has run empty", 2, v, int(sim.fleet.order[v]))
-            recovery.fail(sim, v)
+            if not sim.open_loop:
+                recovery.fail(sim, v)
         elif bit == STALLED:
             recovery.unlock(sim, v)
     return any(mark[2] != PICKED for mark in marks)
@@ -150,11 +167,12 @@ def arrived(sim: Simulation, v: int) -> None:
 
 
 def refresh_view(sim: Simulation) -> None:
-    f, g = sim.fleet, sim.graph
+    f, battery = sim.fleet, sim.parts.battery
     sim.view.tick = sim.tick
-    # edge -1 reads the last edge, which is then not used
-    np.copyto(sim.view.at, np.where(f.edge >= 0, g.edge_to[f.edge], f.state))
-    np.copyto(sim.view.charge_mj, sim.parts.battery.energy_mj(f.charge))
+    kernels.refresh(
+        f.edge, f.state, f.charge, sim.graph.edge_to, battery.below_mv, battery.voltage_mv, battery.capacity_mc,
+        sim.view.at, sim.view.charge_mj,
+    )  # fmt: skip
 
 
 def idle_vehicles(sim: Simulation) -> list[int]:
@@ -171,7 +189,7 @@ def free_vehicles(sim: Simulation) -> list[int]:
 
 def charging(sim: Simulation) -> None:
     idle = idle_vehicles(sim)
-    if not idle:
+    if not idle or (sim.open_loop and len(sim.goals)):
         sim.queue = []
         return
     f = sim.fleet
@@ -246,20 +264,27 @@ def give(sim: Simulation, a: Assignment) -> PlanStatus:
     """Plan an assignment and put it on the floor; NO_PATH or CHARGE when its vehicle finds no way within its charge."""
     book = sim.book
     pick, drop = sim.view.service_ticks
+    target = book.to_place[a.order] if a.target == NONE else a.target
     legs = (
         Leg(book.from_place[a.order], pick, Activity.PICK, False),
-        Leg(book.to_place[a.order], drop, Activity.DROP, True),
+        Leg(target, drop, Activity.DROP, True),
     )
     status = planning.attempt(sim, a.vehicle, legs, a.rests, Task.TO_PICK, a.order)
     if status is not PlanStatus.SOLVED:
         return status
+    where = ""
+    if target != book.to_place[a.order]:
+        station = next(s for s in sim.world.stations if s.place == target)
+        book.to_place[a.order], book.to_station[a.order] = target, station.number
+        where = f" and brings it to {station.name}"
     book.assign(a.order, a.vehicle)
     sim.reasons.pop(a.order, None)
     sim.not_before.pop(a.order, None)
     sim.fleet.order[a.vehicle] = a.order
     sim.fleet.task[a.vehicle] = int(Task.TO_PICK)
     order_row(sim, a.order)
-    sim.say("assigned", f"vehicle {a.vehicle} takes order {a.order}", 0, a.vehicle, a.order)
+    note = f" ({a.note})" if a.note else ""
+    sim.say("assigned", f"vehicle {a.vehicle} takes order {a.order}{where}{note}", 0, a.vehicle, a.order)
     return status
 
 

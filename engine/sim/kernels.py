@@ -28,9 +28,11 @@ from engine.sim.state import (
     LOW,
     MARGIN,
     NC,
+    OPEN_LOOP,
     ORDER_DONE,
     PATIENCE,
     PICKED,
+    RESTLESS,
     SAMPLE,
     SEED,
     STALLED,
@@ -114,9 +116,10 @@ def begin_interval(f: Fleet, v: int, kind: int, cause: int, blocker: int, t: int
 
 
 @lean
-def mark(f: Fleet, sink: Sink, clock: I64, v: int, bit: int, t: int) -> None:
-    """Tell the deciders."""
-    clock[DECIDE] = 1
+def mark(f: Fleet, sink: Sink, levels: Levels, clock: I64, v: int, bit: int, t: int) -> None:
+    """Tell the deciders. A load picked up may wait until they are asked, unless plans or batteries depend on it."""
+    if bit != PICKED or clock[LATE] or clock[RESTLESS] or f.charge[v] < levels.good[v]:
+        clock[DECIDE] = 1
     n = sink.filled[3]
     sink.marks[n, 0], sink.marks[n, 1], sink.marks[n, 2], sink.marks[n, 3] = t, v, bit, f.order[v]
     sink.filled[3] = n + 1
@@ -134,8 +137,9 @@ def leave(c: Claims, clock: I64, linger: I32, slot: int) -> None:
 
 @lean
 def finish(
-    f: Fleet, g: GraphArrays, c: Claims, sink: Sink, total_mj: I64, clock: I64, linger: I32, v: int, t: int
-) -> None:
+    f: Fleet, g: GraphArrays, c: Claims, sink: Sink, total_mj: I64, levels: Levels, clock: I64, linger: I32, v: int,
+    t: int,
+) -> None:  # fmt: skip
     """End the interval of a vehicle that is due at t."""
     kind = f.kind[v]
     close_interval(f, g, sink, total_mj, v, t)
@@ -154,15 +158,15 @@ def finish(
     elif kind == PICK:
         f.loaded[v] = 1
         f.task[v] = TO_DROP
-        mark(f, sink, clock, v, PICKED, t)
+        mark(f, sink, levels, clock, v, PICKED, t)
     elif kind == DROP:
         f.loaded[v] = 0
         f.done[v] += 1
-        mark(f, sink, clock, v, ORDER_DONE, t)
+        mark(f, sink, levels, clock, v, ORDER_DONE, t)
     begin_interval(f, v, WAIT, C_PLANNED, NONE, t, FOREVER)
     f.wake[v] = t
     if f.step[v] == f.steps[v]:
-        mark(f, sink, clock, v, ARRIVED, t)
+        mark(f, sink, levels, clock, v, ARRIVED, t)
 
 
 @lean
@@ -238,7 +242,8 @@ def due(
                 return False
     kind = g.edge_kind[motion_now(f, p, g, v, t)]
     need = total_mj[f.cls[v], f.loaded[v], kind] + g.kind_ticks[kind] * standby_mj[f.cls[v]]
-    if need * 1000 > f.charge[v] * voltage(levels, f.charge[v], levels.capacity[v]):
+    spent = need * 1000 > f.charge[v] * voltage(levels, f.charge[v], levels.capacity[v])
+    if spent and clock[OPEN_LOOP] == 0:
         open_interval(f, g, sink, total_mj, v, WAIT, C_EMPTY, NONE, t, FOREVER)
         clock[LATE] = 1
         return False
@@ -318,7 +323,10 @@ def start_steps(
     wait_for: I32,
     t: int,
 ) -> None:
-    """Start every step that is due and free to start; a vehicle that may not, waits and says for whom."""
+    """Start every step that is due and free to start; a vehicle that may not, waits and says for whom.
+
+    In an open loop nobody waits for anybody: what was planned happens, collisions too.
+    """
     n = len(f.state)
     for v in range(n):
         go[v] = 0
@@ -329,9 +337,9 @@ def start_steps(
         wait_for[v] = max(first(c, p.claim[v, k]), first(c, p.sweep0[v, k]), first(c, p.sweep1[v, k]))
         if p.claim[v, k] >= 0 and blocked[g.state_place[g.edge_to[p.edge[v, k]]]]:
             go[v] = HALT
-        elif wait_for[v] >= 0 and clock[HOLD] == 1:
+        elif wait_for[v] >= 0 and clock[HOLD] == 1 and clock[OPEN_LOOP] == 0:
             go[v] = YIELD
-    if clock[HOLD] == 0:
+    if clock[HOLD] == 0 and clock[OPEN_LOOP] == 0:
         # classical rule: following and rotating is allowed, so the largest set that can move together moves
         changed = True
         while changed:
@@ -363,7 +371,7 @@ def start_steps(
             if f.stalled[v] < 0:
                 f.stalled[v] = t
             elif (t - f.stalled[v]) % clock[PATIENCE] == 0:
-                mark(f, sink, clock, v, STALLED, t)
+                mark(f, sink, levels, clock, v, STALLED, t)
             if go[v] == HALT:
                 open_interval(f, g, sink, total_mj, v, WAIT, C_BLOCKED, NONE, t, FOREVER)
             else:
@@ -413,7 +421,7 @@ def draw_energy(
                     part = cost[i] if span == 1 else cost[i] * (past + 1) // span - cost[i] * past // span
                     f.ledger[v, i] += part
                     drawn += part
-        if f.charge[v] > 0:
+        if f.charge[v] > 0 or clock[OPEN_LOOP] == 1:
             f.ledger[v, STANDBY] += standby_mj[f.cls[v]]
             drawn += standby_mj[f.cls[v]]
         volt = voltage(levels, f.charge[v], levels.capacity[v])
@@ -429,18 +437,18 @@ def draw_energy(
         before = f.charge[v]
         work = drawn * 1000 + f.rest[v]
         moved = work // volt
-        if moved >= before > 0:
+        if moved >= before > 0 and clock[OPEN_LOOP] == 0:
             # standby gets what is left of the charge, and no more
             f.ledger[v, STANDBY] -= drawn - (before * volt - f.rest[v]) // 1000
             moved, work = before, before * volt
         f.rest[v] = work - moved * volt
         f.charge[v] = before - moved
         if before < levels.sufficient[v] <= f.charge[v] or before < levels.full[v] <= f.charge[v]:
-            mark(f, sink, clock, v, CHARGED, t + 1)
+            mark(f, sink, levels, clock, v, CHARGED, t + 1)
         if before >= levels.good[v] > f.charge[v] and f.order[v] == NONE:
-            mark(f, sink, clock, v, LOW, t + 1)
+            mark(f, sink, levels, clock, v, LOW, t + 1)
         if f.charge[v] <= 0 and before > 0:
-            mark(f, sink, clock, v, EMPTY, t + 1)
+            mark(f, sink, levels, clock, v, EMPTY, t + 1)
 
 
 @lean
@@ -490,7 +498,7 @@ def run(
                     i += 1
             for v in range(n):
                 if f.t1[v] == t:
-                    finish(f, g, c, sink, total_mj, clock, linger, v, t)
+                    finish(f, g, c, sink, total_mj, levels, clock, linger, v, t)
             clock[HALF] = 1
         if clock[DECIDE] == 1:
             clock[DECIDE] = 0
@@ -507,6 +515,20 @@ def run(
             sample(f, sink, levels, t + 1)
         clock[TICK] = t + 1
         clock[HALF] = 0
+
+
+@lean
+def refresh(
+    edge: I32, state: I32, charge: I64, edge_to: I32, below_mv: I64, voltage_mv: I64, capacity: int, at: I32,
+    charge_mj: I64,
+) -> None:  # fmt: skip
+    """Where each vehicle's next plan would start, and its energy (Battery.energy_mj), into the last two."""
+    last = len(voltage_mv) - 1
+    for v in range(len(edge)):
+        at[v] = edge_to[edge[v]] if edge[v] >= 0 else state[v]
+        q = max(charge[v], 0)
+        i = min(q * last // capacity, last)
+        charge_mj[v] = (below_mv[i] * capacity + voltage_mv[i] * (q * last - i * capacity)) // (1000 * last)
 
 
 @lean

@@ -58,7 +58,7 @@ class Ledger:
         if table not in NOT_IN_DIGEST:
             skip = OUTSIDE_DIGEST.get(table)
             kept = values if skip is None else [v for c, v in zip(TABLES[table], values, strict=True) if c not in skip]
-            text = _ENCODE([table, *kept])
+            text = f'["{table}",{",".join(map(_json, kept))}]'
             self._chain = hashlib.blake2b(self._chain + text.encode(), digest_size=16).digest()
         self.rows[table] += 1
         if self.recorder is not None:
@@ -96,8 +96,16 @@ class Ledger:
         self._lanes = {name: np.array(lane, np.uint64) for name, lane in plain["lanes"].items()}
 
 
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else int(value)
+def _json(value: Any) -> str:
+    """An integer, a text or a list of integers as compact JSON, faster than the json module does it row by row."""
+    kind = type(value)
+    if kind is int:
+        return repr(value)
+    if isinstance(value, str):
+        return _QUOTED(value)
+    if kind is np.ndarray:
+        value = value.tolist()
+    return repr(value).replace(" ", "") if type(value) is list else repr(int(value))
 
 
-_ENCODE = json.JSONEncoder(separators=(",", ":"), default=_plain).encode
+_QUOTED = json.JSONEncoder().encode

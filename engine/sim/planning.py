@@ -60,7 +60,8 @@ def plan(
     gap = traffic.lift(c, p, v, here, step, steps)
     plan, cpu_us = ask(sim, v, int(gap), legs)
     status = plan.status
-    if plan.found and within_charge and left_after(sim, v, plan, tick) < floor_mj(sim, v, legs[-1].place, task):
+    careful = within_charge and not sim.open_loop
+    if plan.found and careful and left_after(sim, v, plan, tick) < floor_mj(sim, v, legs[-1].place, task):
         status = PlanStatus.CHARGE
     if not plan.found or status is PlanStatus.CHARGE:
         traffic.put_back(c, p, v, here, step, steps)
@@ -80,7 +81,7 @@ def left_after(sim: Simulation, v: int, plan: Plan, tick: int) -> int:
     A running motion counts as a whole.
     """
     f, costs, cls = sim.fleet, sim.parts.costs, int(sim.fleet.cls[v])
-    now = int(sim.parts.battery.energy_mj(int(f.charge[v])))
+    now = sim.parts.battery.energy_of(int(f.charge[v]))
     if f.edge[v] >= 0:
         now -= int(costs.total_mj[cls, f.loaded[v], sim.graph.edge_kind[f.edge[v]]])
     return now - (tick - sim.tick) * int(costs.standby_mj[cls]) - plan.energy_mj
@@ -161,12 +162,12 @@ def commit(sim: Simulation, v: int, plan: Plan) -> None:
 
 def plan_row(sim: Simulation, v: int, plan: Plan, task: Task, order: int, tick: int, cpu_us: int) -> None:
     c, p, f = sim.claims, sim.steps, sim.fleet
-    slots = [int(f.here[v]), *(s for s in p.claim[v, : len(plan.edges)].tolist() if s >= 0)]
+    claimed = p.claim[v, : len(plan.edges)]
+    slots = np.concatenate([f.here[v : v + 1], claimed[claimed >= 0]])
     end = int(plan.ends[-1]) if len(plan.ends) else tick
     sim.ledger.row(
-        "plans", sim.tick, v, int(task), order, plan.note or str(plan.status), c.place[slots].tolist(),
-        c.start[slots].tolist(),
-        c.end[slots].tolist(), tick, end, plan.energy_mj, plan.expanded, cpu_us,
+        "plans", sim.tick, v, int(task), order, plan.note or str(plan.status), c.place[slots], c.start[slots],
+        c.end[slots], tick, end, plan.energy_mj, plan.expanded, cpu_us,
     )  # fmt: skip
 
 
@@ -175,6 +176,8 @@ def retime(sim: Simulation) -> None:
     if not clock[LATE]:
         return
     clock[LATE] = 0
+    if sim.open_loop:
+        return
     ready = np.where(f.t1 < FOREVER, f.t1, np.maximum(f.hold, sim.tick)).astype(np.int32)
     ready[f.paused == 1] = np.maximum(ready[f.paused == 1], sim.tick + 1)
     far = traffic.retime(

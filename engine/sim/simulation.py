@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from engine import traffic
 from engine.dispatch.base import ChargingPolicy, Dispatcher, FloorView
 from engine.energy import Battery, CostTable
-from engine.errors import InvariantBroken
+from engine.errors import InvariantBroken, ScenarioError
 from engine.orders.book import OrderBook
 from engine.orders.sources import OrderSource
 from engine.planners import Solver
 from engine.planners.base import Memory, Planner, Search
 from engine.scenario.model import Scenario
+from engine.scenario.serving import exits_of, regions_of
 from engine.sim import checkpoint, deciding, kernels, learning, operating, planning
 from engine.sim.commands import Answer, submit
 from engine.sim.faults import Faults
@@ -36,9 +37,10 @@ from engine.sim.state import (
     HALF,
     HOLD,
     LATE,
-    LINGERING,
     MARGIN,
+    OPEN_LOOP,
     PATIENCE,
+    RESTLESS,
     SAMPLE,
     SEED,
     TICK,
@@ -103,11 +105,13 @@ class Simulation:
         self.search = parts.search
         self.swaps = parts.scenario.battery.exchange == "swap"
         self.goals = parts.goals
-        self.plan_all = True  # everybody with a goal is to be planned at the next occasion
+        self.plan_all = len(parts.goals) > 0  # everybody with a goal is to be planned at the next occasion
         self.together_at, self.together_pause = 0, 1
         self.memory: Memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.levels = self._levels(n)
-        self.clock = np.zeros(LINGERING + 1, np.int64)
+        self.tick = 0
+        self.clock = np.zeros(OPEN_LOOP + 1, np.int64)
+        self.clock[OPEN_LOOP] = not parts.planner.promise.legal
         self.linger = np.full(16 * n + 64, NONE, np.int32)
         self.go, self.wait_for = np.zeros(n, np.int8), np.zeros(n, np.int32)
         self.home = np.full(n, NONE, np.int32)
@@ -158,7 +162,8 @@ class Simulation:
             holder=self.holder, is_charger=is_charger, is_rest=is_rest, rests=rests, xy=self.graph.xy_m,
             heaviest=1.0 + fleet.payload_kg / min(fleet.each_mass_kg), standby_mj=int(self.parts.costs.standby_mj[0]),
             service_ticks=planning.service_ticks(self), levels=self.thresholds, must_charge=self.must_charge,
-            blocked=self.blocked,
+            blocked=self.blocked, order=self.fleet.order, failed=self.fleet.failed, paused=self.fleet.paused,
+            exits=exits_of(self.scenario, world), region=regions_of(self.scenario, world),
         )  # fmt: skip
 
     def _begin(self) -> None:
@@ -170,7 +175,7 @@ class Simulation:
         clock[SEED] = self.parts.seed % 2**62
         clock[DELAY_PPM] = round(s.faults.delay_probability * 1e6)
         clock[DELAY_LO], clock[DELAY_HI] = s.faults.delay_ticks
-        clock[HALF] = clock[DECIDE] = 1
+        clock[HALF] = clock[DECIDE] = clock[RESTLESS] = 1
         f.cls[:] = self.parts.cls
         f.charge[:] = np.rint(self.parts.initial_soc * self.parts.battery.capacity_mc).astype(np.int64)
         for v, place in enumerate(self.parts.start):
@@ -193,8 +198,9 @@ class Simulation:
         return int(g.place_ptr[place])
 
     @property
-    def tick(self) -> int:
-        return int(self.clock[TICK])
+    def open_loop(self) -> bool:
+        """True when the planner promises nothing: its plans are executed as they are."""
+        return bool(self.clock[OPEN_LOOP])
 
     @property
     def log(self) -> Recorder | None:
@@ -261,7 +267,8 @@ class Simulation:
                 self.parts.costs.total_mj, self.parts.costs.standby_mj, self.levels, c, self.blocked, self.linger,
                 self.go, self.wait_for, max(wake, self.tick),
             )  # fmt: skip
-            self.view.tick = self.tick
+            self.tick = self.view.tick = int(c[TICK])
+            deciding.read_marks(self, self.tick)
             if status == 2:
                 self.drain()
                 continue
@@ -272,6 +279,8 @@ class Simulation:
             again = self.retry <= self.tick
             if status == 1 or arrived or broken or again:
                 deciding.decide(self, broken, arrived or again)
+            else:
+                deciding.read_marks(self)
             if status == 0 and self.tick >= target:
                 break
         return self.tick - first
@@ -325,10 +334,17 @@ class Simulation:
         self.view.orders = book
 
     def become(self, parts: Parts, *, keep_orders: bool, keep_faults: bool) -> None:
-        """Go on with another planner, policies or order source; motions already committed finish first."""
+        """Go on with another planner, policies or order source; motions already committed finish first.
+
+        Raises ScenarioError between planners whose plans are kept apart and planners whose plans are executed as they
+        are.
+        """
+        if parts.planner.promise.legal == self.open_loop:
+            raise ScenarioError("a fork can't change between plans that are kept apart and plans executed as they are")
         old = self.parts
         if parts.planner != old.planner or parts.solver != old.solver:
-            self.plan_all = True
+            self.plan_all = len(self.goals) > 0
+            self.clock[RESTLESS] = 1
             self.clock[DECIDE] |= len(self.goals) > 0
             self.memory = parts.planner.init(self.graph, parts.costs, parts.planner_rng)
         self.parts = replace(
@@ -359,7 +375,7 @@ class Simulation:
             here = int(self.fleet.here[v])
             if c.owner[here] != v:
                 raise InvariantBroken(f"vehicle {v} does not own the claim of its place")
-        if self.clock[LATE]:
+        if self.clock[LATE] or self.open_loop:
             return  # somebody is late: times are put right before the next plan, the order holds all the time
         for place in range(self.graph.n_places):
             before, slot = place, int(c.next[place])

@@ -21,8 +21,9 @@ NC = len(COMPONENTS)
 # Reasons for which the kernel hands over to the deciders (Sink.marks).
 ORDER_DONE, ARRIVED, CHARGED, STALLED, EMPTY, PICKED, LOW = 1, 2, 4, 8, 16, 32, 64
 
-# Clock fields.
-TICK, LATE, SAMPLE, PATIENCE, MARGIN, HOLD, SEED, DELAY_PPM, DELAY_LO, DELAY_HI, HALF, DECIDE, LINGERING = range(13)
+# Clock fields. RESTLESS: the deciders want to be asked at every occasion.
+TICK, LATE, SAMPLE, PATIENCE, MARGIN, HOLD, SEED, DELAY_PPM, DELAY_LO, DELAY_HI, HALF, DECIDE = range(12)
+RESTLESS, LINGERING, OPEN_LOOP = range(12, 15)
 
 
 class Fleet(NamedTuple):

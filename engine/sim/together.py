@@ -42,6 +42,10 @@ def decide(sim: Simulation) -> None:
     stuck = away(sim)
     if not anew and not (stuck and sim.tick >= sim.together_at):
         return
+    if sim.open_loop:
+        if anew:
+            once(sim)
+        return
     solver = sim.parts.solver
     if anew and solver is not None and solve(sim, solver):
         return
@@ -51,6 +55,17 @@ def decide(sim: Simulation) -> None:
     first, longest = (max(1, ticks_from_s(seconds, sim.tick_s)) for seconds in (PAUSE_S, LONGEST_S))
     sim.together_pause = first if found or anew else min(2 * sim.together_pause, longest)
     sim.together_at = sim.tick + sim.together_pause
+
+
+def once(sim: Simulation) -> None:
+    """Ask the planner once for every vehicle away from its goal; who is at its goal, or gets no plan, stays there."""
+    for v in away(sim):
+        goal = int(sim.goals[v])
+        if planning.send(sim, v, (), (goal,), Task.TO_REST, NONE):
+            sim.fleet.task[v] = int(Task.TO_REST)
+        else:
+            where = sim.world.place_name(goal)
+            sim.say("no way", f"vehicle {v} gets no way to {where} and is not asked for again", 2, v, NONE, goal)
 
 
 def movable(sim: Simulation) -> list[int]:

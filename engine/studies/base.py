@@ -15,7 +15,8 @@ import shutil
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib import import_module
@@ -31,6 +32,8 @@ STUDIES: dict[str, str] = {
     "xu2025": "engine.studies.xu2025:Xu2025",
     "lian2024": "engine.studies.lian2024:Lian2024",
     "zhang2021": "engine.studies.zhang2021:Zhang2021",
+    "wang2019": "engine.studies.wang2019:Wang2019",
+    "soochow2022": "engine.studies.soochow2022:Soochow2022",
 }
 
 Cell = dict[str, Any]
@@ -235,11 +238,25 @@ def _results(
     # another backend is the one of the `parallel_config` around this, with its client
     more = {"backend": backend, "initializer": _leave_ending_to_the_first} if backend == "loky" else {}
     pool = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1, **more)
-    found = pool(delayed(_numbered)(work, i, cell, code) for i, cell in numbered)
+    with _ctrl_c_waits():  # a process that is still starting would end with a traceback
+        found = pool(delayed(_numbered)(work, i, cell, code) for i, cell in numbered)
     try:
         yield from found
     finally:
         found.close()
+
+
+@contextmanager
+def _ctrl_c_waits() -> Iterator[None]:
+    """Holds Ctrl-C back; processes started meanwhile inherit that and never hear it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _leave_ending_to_the_first() -> None:

@@ -148,12 +148,11 @@ def gap_end(c: Claims, slot: int) -> int:
 
 
 @lean
-def free_from(c: Claims, place: int, tick: int, span: int) -> int:
-    """The first tick ≥ `tick` from which a place is free for `span` ticks, or FOREVER."""
+def free_from(start: I32, end: I32, after: I32, place: int, tick: int, span: int) -> int:
+    """The first tick ≥ `tick` from which a place is free for `span` ticks, or FOREVER. start, end, after: of claims."""
     at = place
     while True:
-        begin = max(tick, c.end[at])
-        after = c.next[at]
-        if after < 0 or begin + span <= c.start[after]:
+        begin = max(tick, end[at])
+        at = after[at]
+        if at < 0 or begin + span <= start[at]:
             return begin
-        at = after

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.compiled import lean
-from engine.traffic.claims import Claims, gap_end
+from engine.traffic.claims import Claims, free_from, gap_end
 from engine.types import FOREVER
 from engine.world.motion_graph import MotionGraph
 
@@ -95,32 +95,41 @@ def departure(
 
     `until`: end of the vehicle's own free interval at u.
     """
-    ticks = g.kind_ticks[g.edge_kind[e]]
-    close = gap_end(c, gap)
-    if hold:
-        begin = max(t, c.end[gap])
-        first, last = g.sweep_ptr[e], g.sweep_ptr[e + 1]
-        while True:
-            if begin + ticks + margin > until or begin + ticks + margin > close:
+    if not hold:
+        return classical_departure(c, g, e, u, v, gap, t, until)
+    # the last tick at which it may begin: then both free intervals end
+    latest = min(until, gap_end(c, gap)) - g.kind_ticks[g.edge_kind[e]] - margin
+    begin = max(t, c.end[gap])
+    if begin > latest:
+        return FOREVER
+    if g.sweep_ptr[e] == g.sweep_ptr[e + 1]:
+        return begin
+    corners = g.sweep[g.sweep_ptr[e] : g.sweep_ptr[e + 1]]
+    span = g.kind_ticks[g.edge_kind[e]] + margin
+    return swept_departure(c.start, c.end, c.next, g.blocked, corners, span, begin, latest)
+
+
+@lean
+def swept_departure(
+    start: I32, end: I32, after: I32, blocked: NDArray[np.uint8], corners: I32, span: int, begin: int, latest: int
+) -> int:
+    """Earliest tick from `begin` to `latest` from which all corners are free for `span` ticks, or FOREVER."""
+    while begin <= latest:
+        later = begin
+        for corner in corners:
+            if blocked[corner]:
                 return FOREVER
-            later = begin
-            for q in range(first, last):
-                corner = g.sweep[q]
-                if g.blocked[corner]:
-                    return FOREVER
-                at = corner
-                while True:
-                    free = max(later, c.end[at])
-                    after = c.next[at]
-                    if after < 0 or free + ticks + margin <= c.start[after]:
-                        break
-                    at = after
-                later = free
-                if later >= FOREVER:
-                    return FOREVER
-            if later == begin:
-                return begin
-            begin = later
+            later = free_from(start, end, after, corner, later, span)
+        if later == begin:
+            return begin
+        begin = later
+    return FOREVER
+
+
+@lean
+def classical_departure(c: Claims, g: Ground, e: int, u: int, v: int, gap: int, t: int, until: int) -> int:
+    """The same under the classical rule, where every motion takes one tick."""
+    close = gap_end(c, gap)
     for q in range(g.sweep_ptr[e], g.sweep_ptr[e + 1]):
         if g.blocked[g.sweep[q]]:
             return FOREVER

@@ -66,6 +66,7 @@ class FloorPlan:
     connectivity: int = 4
     occupancy: Occupancy = Occupancy.HOLD
     margin_ticks: int = 0
+    one_way: str = "lanes"
 
 
 class HasFloorPlan(Protocol):
@@ -286,6 +287,8 @@ def build_grid(plan: FloorPlan) -> GridWorld:
     cell_of_place = np.stack([xs, ys], 1).astype(np.int32)
 
     exits = aisle_exits(cells, plan.connectivity)
+    if plan.one_way == "ways":
+        exits &= ~against_lanes(cells)
     endpoints = named_endpoints(cells)
     for name, side in plan.access.items():
         if name not in endpoints:
@@ -359,6 +362,24 @@ def aisle_exits(cells: NDArray[np.uint8], connectivity: int = 4) -> NDArray[np.u
             ok = plain & _ahead(plain, dx, dy) & _ahead(plain, dx, 0) & _ahead(plain, 0, dy)
             exits |= (ok.astype(np.uint8) << direction).astype(np.uint8)
     return exits
+
+
+def against_lanes(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) exit bits against the lanes: on a straight road all cells are left in the direction of its lanes, if they
+    agree on one. Diagonals are against them all.
+    """
+    out = np.full(cells.shape, 0b10101010, np.uint8)
+    for lines, marks, turned in ((cells, out, "><"), (cells.T, out.T, "^v")):
+        east, west = (ord(letter) for letter in turned)
+        back = {east: ONE_WAY[turned[1]], west: ONE_WAY[turned[0]]}
+        for line, mark in zip(lines, marks, strict=True):
+            aisle = np.concatenate([[False], np.isin(line, _codes(AISLES)), [False]])
+            begins, ends = np.flatnonzero(np.diff(aisle.astype(np.int8)) == 1), np.flatnonzero(~aisle[1:] & aisle[:-1])
+            for a, b in zip(begins.tolist(), ends.tolist(), strict=True):
+                found = set(line[a:b].tolist()) & {east, west}
+                if len(found) == 1:
+                    mark[a:b] |= 1 << back[found.pop()]
+    return out
 
 
 def access_side(cells: NDArray[np.uint8], x: int, y: int, named: str | None) -> int | None:

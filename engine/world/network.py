@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -73,7 +74,8 @@ class NetworkPlan:
     """A network as asked for.
 
     mm_per_tick: cruising speed · turn_ticks: a pivot of 90 degrees; others in proportion · kerbs: how many lanes
-    vehicles may rest on; as many as the network can give when there are fewer.
+    vehicles may rest on; as many as the network can give when there are fewer · entrances_charge: one more kerb
+    at every entrance, with a charger.
     """
 
     nodes: tuple[Node, ...]
@@ -83,6 +85,7 @@ class NetworkPlan:
     kerbs: int = 64
     occupancy: Occupancy = Occupancy.HOLD
     margin_ticks: int = 0
+    entrances_charge: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +123,7 @@ class NetworkWorld(World):
     def floor_json(self) -> dict[str, Any]:
         """What a browser needs to draw the network: plain JSON values; lengths in metres, y upwards."""
         width, height = self.size_m
-        kerbs = set(self.parking.tolist())
+        kerbs = {*self.parking.tolist(), *self.chargers.tolist()}
         return {
             "kind": "network",
             "width_m": round(width, 4),
@@ -239,7 +242,7 @@ def build_network(plan: NetworkPlan) -> NetworkWorld:
     two = np.array([not plan.arcs[i].one_way for i in lane_arc])
     lane_xy = xy[lane_ends].mean(axis=1) + right * two[:, None]
     graph = _compile(plan, lane_arc, lane_ends, unit, np.concatenate([xy, lane_xy]).astype(np.float32))
-    parking = np.array([n + lane for lane in choose_kerbs(plan, lane_ends, xy)], np.int32)
+    parking, chargers = (np.array([n + lane for lane in some], np.int32) for some in choose_kerbs(plan, lane_ends, xy))
     order = [(kind, i) for kind in LETTERS for i, node in enumerate(nodes) if node.kind is kind]
     stations = tuple(
         Station(number, f"{LETTERS[kind]}{number}", kind, i, NONE) for number, (kind, i) in enumerate(order, start=1)
@@ -254,7 +257,7 @@ def build_network(plan: NetworkPlan) -> NetworkWorld:
         occupancy=plan.occupancy,
         margin_ticks=plan.margin_ticks,
         stations=stations,
-        chargers=np.zeros(0, np.int32),
+        chargers=chargers,
         parking=parking,
         access=np.full(graph.n_places, NONE, np.int32),
         endpoint=endpoint,
@@ -264,7 +267,7 @@ def build_network(plan: NetworkPlan) -> NetworkWorld:
         lane_arc=lane_arc,
         lane_ends=lane_ends,
     )
-    for array in (parking, world.access, endpoint, lane_arc, lane_ends):
+    for array in (parking, chargers, world.access, endpoint, lane_arc, lane_ends):
         array.setflags(write=False)
     return world
 
@@ -407,11 +410,14 @@ def _turn(a: int, b: int) -> int:
     return min((b - a) % 360, (a - b) % 360)
 
 
-def choose_kerbs(plan: NetworkPlan, lane_ends: NDArray[np.int32], xy: NDArray[np.float64]) -> list[int]:
-    """Lanes on which vehicles may rest, ascending: the lanes left over lead from node to node wherever all lanes do.
+def choose_kerbs(
+    plan: NetworkPlan, lane_ends: NDArray[np.int32], xy: NDArray[np.float64]
+) -> tuple[list[int], list[int]]:
+    """Lanes on which vehicles may rest, and those among the others on which they charge, ascending.
 
-    Greedy, outermost lanes first, for few shortest routes lead over them; those at entrances last. Every arc keeps a
-    lane.
+    The lanes left over lead from node to node wherever all lanes do, and every arc keeps one. Greedy: first a lane out
+    of every entrance, where they charge; then the outermost, for few shortest routes lead over them, and those at
+    entrances last.
     """
     from scipy import sparse
     from scipy.sparse import csgraph
@@ -429,17 +435,22 @@ def choose_kerbs(plan: NetworkPlan, lane_ends: NDArray[np.int32], xy: NDArray[np
         return int(csgraph.connected_components(matrix, connection="strong", return_labels=False))
 
     least = parts()
-    chosen: list[int] = []
-    for lane in np.argsort(-rank, kind="stable").tolist():
-        if len(chosen) >= plan.kerbs:
-            break
+
+    def closed(lane: int) -> bool:
         a, b = lane_ends[lane]
         back = np.flatnonzero((lane_ends[:, 0] == b) & (lane_ends[:, 1] == a))
-        if not len(back) or not open_[back[0]]:
-            continue
+        if not open_[lane] or not len(back) or not open_[back[0]]:
+            return False
         open_[lane] = False
-        if parts() == least:
-            chosen.append(lane)
-        else:
-            open_[lane] = True
-    return sorted(chosen)
+        open_[lane] = parts() != least
+        return not open_[lane]
+
+    kerbs: list[int] = []
+    chargers: list[int] = []
+    for node in np.flatnonzero(entrance).tolist() if plan.entrances_charge else ():
+        out = np.flatnonzero(lane_ends[:, 0] == node).tolist()
+        chargers += islice((lane for lane in out if closed(lane)), 1)
+    for lane in np.argsort(-rank, kind="stable").tolist():
+        if len(kerbs) < plan.kerbs and closed(lane):
+            kerbs.append(lane)
+    return sorted(kerbs), sorted(chargers)

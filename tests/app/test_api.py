@@ -233,6 +233,72 @@ def test_callbacks_refuse_what_is_no_object(client: Any) -> None:
     assert client.get("/healthz").status_code == 200
 
 
+def callback(client: Any, output: str, **inputs: Any) -> dict[str, Any]:
+    """What the server answers to the callback whose outputs contain a text, for inputs by `id__property`."""
+    for known in client.get("/_dash-dependencies").json():
+        if output in known["output"] and known["inputs"] and not known["clientside_function"]:
+            break
+    else:
+        pytest.fail(f"no callback for {output}")
+    names = [(i["id"], i["property"]) for i in known["inputs"]]
+    listed = known["output"].strip(".").split("...")
+    outputs = [dict(zip(("id", "property"), one.split("@")[0].rsplit(".", 1), strict=True)) for one in listed]
+    body = {
+        "output": known["output"],
+        "outputs": outputs if known["output"].startswith("..") else outputs[0],
+        "inputs": [{"id": i, "property": p, "value": inputs.get(f"{i.replace('-', '_')}__{p}")} for i, p in names],
+        "changedPropIds": [f"{i}.{p}" for i, p in names],
+        "state": [],
+    }
+    answer = client.post("/_dash-update-component", json=body)
+    assert answer.status_code == 200, answer.text
+    return dict(answer.json())
+
+
+def tracebacks(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [str(record.exc_info[1]) for record in caplog.records if record.exc_info]
+
+
+def test_a_mistake_in_a_callback_is_logged_and_said(
+    client: Any, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from app.pages import data, shell
+
+    def broken(*_: Any) -> Any:
+        raise ZeroDivisionError("a mistake")
+
+    monkeypatch.setattr(data, "scenario_values", broken)
+    told = callback(client, "start-keys", start_scenario__value="soochow2022")
+    assert told["sideUpdate"]["notify"] == shell.failure()
+    assert tracebacks(caplog) == ["a mistake"]
+    caplog.clear()
+    monkeypatch.setattr(shell, "content", broken)
+    told = callback(client, "page.children", url__pathname="/runs", url__search="")
+    assert shell.FAILURE in str(told["response"]["page"]["children"])
+    assert "current" in str(told["response"]["nav"]["children"])
+    assert tracebacks(caplog) == ["a mistake"]
+
+
+def test_an_answer_that_cant_be_sent_is_logged_and_said(
+    client: Any, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from app.pages import shell
+
+    monkeypatch.setattr(shell, "content", lambda *_: object())
+    told = callback(client, "page.children", url__pathname="/runs", url__search="")
+    assert told["sideUpdate"]["notify"] == shell.failure()
+    assert len(tracebacks(caplog)) == 1
+
+
+def test_the_start_form_asks_for_orders_only_where_there_are_some(client: Any) -> None:
+    for name, orders in (("soochow2022-continuous", True), ("xu2025", False)):
+        told = callback(client, "start-keys", start_scenario__value=name)["response"]
+        assert told["start-rate"]["style"] == ({} if orders else {"display": "none"})
+        keys = str(told["start-keys"]["children"])
+        assert "fleet.count" in keys
+        assert ("orders." in keys) is orders
+
+
 def test_unknown_addresses_below_api_are_not_pages(client: Any) -> None:
     for path in ("/api/", "/api/nothing", "/api/runs/x/y/z"):
         assert client.get(path).status_code == 404

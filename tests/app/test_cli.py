@@ -87,6 +87,10 @@ def test_built_in_scenarios_are_valid(wattlane: Any) -> None:
 
     for name in library():
         said = wattlane("validate", name)
+        if name == "soochow2022-battery":  # its order takes more than a battery holds: what it is there to show
+            assert said.code == 2
+            assert "takes 102.0% of a battery" in said.out
+            continue
         assert said.code == 0, said.out
         assert f"{name} is valid" in said.out
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.lessons import LESSONS, base, learned_time, lesson, motor, search, tree
+from app.lessons import LESSONS, ants, base, break_it, heuristics, learned_time, lesson, motor, search, tree
 from engine.energy import parameter_sets
 from engine.energy.drive import forward
 from engine.energy.lian2024 import lian2024
@@ -21,6 +22,7 @@ from engine.planners.routing import lengths_of, turns_of
 from engine.planners.stochastic import Stochastic
 from engine.types import Component
 from engine.world.motion_graph import Primitive
+from tests import naive_dispatch
 from tests import naive_mapf2 as naive
 from tests.naive_mapf import joint_optimum
 
@@ -514,3 +516,121 @@ def test_the_server_answers_or_says_why(client: Any) -> None:
         assert refused.status_code == 400
         assert refused.json()["error"]
     assert client.post("/learn/search", json=[]).status_code == 400
+
+
+# -- heuristics -------------------------------------------------------------------------------------------------------
+
+MATRIX = [f"{mode}.{rule}.{tie}" for mode in heuristics.MODES for rule in heuristics.RULES for tie in heuristics.TIES]
+
+
+@settings(max_examples=60)
+@given(floors(), st.lists(st.sampled_from(MATRIX), min_size=1, max_size=8))
+def test_a_matrix_plays_its_searches(question: tuple[np.ndarray, naive.Cell, naive.Cell], panels: list[str]) -> None:
+    free, start, goal = question
+    answer = heuristics.answer(query_of(free, start, goal, "~".join(panels)))
+    width = free.shape[1]
+    for text, told in zip(panels, answer["panels"], strict=True):
+        mode = text.partition(".")[0]
+        _, neighbours, cut = heuristics.MODES[mode]
+        least = naive_dispatch.shortest(free.tolist(), neighbours, cut, start, goal)
+        assert told["solved"] == np.isfinite(least)
+        rows, entries, path = columns(told["rows"]), columns(told["entries"]), columns(told["path"])
+        assert len(rows["cell"]) == told["expanded"]
+        expanded = {row: i for i, row in enumerate(entries["row"]) if row >= 0}
+        assert sorted(expanded) == list(range(told["expanded"]))
+        for row, i in expanded.items():
+            for name in ("cell", "heading", "g", "h"):
+                assert entries[name][i] == rows[name][row]
+            if rows["by"][row] >= 0:
+                dx = abs(rows["cell"][row] % width - rows["cell"][rows["by"][row]] % width)
+                dy = abs(rows["cell"][row] // width - rows["cell"][rows["by"][row]] // width)
+                assert dx + dy == 1 or (dx == dy == 1 and neighbours == 8)
+        if told["solved"]:
+            assert path["cell"][0] == start[0] + width * start[1]
+            assert path["cell"][-1] == goal[0] + width * goal[1]
+            assert told["longer"] == pytest.approx(told["cost"] / 1000 / least - 1, abs=1e-3)
+            assert told["longer"] == 0 or not told["admissible"]
+
+
+def test_the_paper_s_lengths_are_an_example() -> None:
+    answer = heuristics.answer(heuristics.PRESETS[0].query)
+    costs = {told["panel"]: told["cost"] for told in answer["panels"]}
+    assert [costs[f"four.{rule}.fifo"] for rule in heuristics.RULES] == [14_000] * 4
+    assert [costs[f"eight.{rule}.fifo"] for rule in heuristics.RULES] == [11_071] * 4
+    oversteps = next(p for p in heuristics.PRESETS if p.word == "Manhattan oversteps")
+    longer = {told["panel"]: told["longer"] for told in heuristics.answer(oversteps.query)["panels"]}
+    assert longer["four.manhattan.fifo"] == 0
+    assert longer["eight.manhattan.fifo"] > 0.05 < longer["cut.manhattan.fifo"]
+
+
+# -- ants -------------------------------------------------------------------------------------------------------------
+
+
+def asked_of_ants(**changes: str) -> dict[str, str]:
+    return {**ants.PRESETS[0].query, "map": "9x7r20s3", "goal": "8.6", "iterations": "5", "ants": "4", **changes}
+
+
+def test_colonies_play_what_they_did_and_the_printed_inducement_is_none() -> None:
+    answer = ants.answer(asked_of_ants(panels="literal~off~exponent~classic"))
+    literal, off, exponent, classic = answer["panels"]
+    assert (literal["same"], off["same"]) == (1, 0)
+    assert {name: literal[name] for name in literal if name not in ("kind", "word", "same")} == {
+        name: off[name] for name in off if name not in ("kind", "word", "same")
+    }
+    assert classic["exploited"] == 0 < exponent["exploited"]
+    free = base.read_floor(answer["map"])
+    shortest = naive.steps(free, (0, 0), (8, 6))
+    assert answer["astar"]["steps"] == shortest
+    for panel in answer["panels"]:
+        best = columns(panel["columns"])["best"]
+        level = np.frombuffer(base64.b64decode(panel["tau"]), np.uint8).reshape(5, -1)
+        assert level.shape == (5, free.size)
+        assert not level[:, ~free.ravel()].any()
+        assert best[-1] >= shortest
+        for at, cells in panel["ways"]:
+            assert len(cells) - 1 == best[at - 1]
+            assert (cells[0], cells[-1]) == (0, 62)
+            assert free.ravel()[cells].all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"panels": "literal~exponents"}, "did you mean 'exponent'?"),
+        ({"panels": "~".join(["off"] * 5)}, "at most 4 were expected, got 5"),
+        ({"rho": "2"}, "a number from 0 to 1 was expected, got 2; nearest: 1"),
+        ({"xi": "much"}, "ξ: a number was expected, got 'much'"),
+        ({"beta": "9", "xi": "0.1"}, "must be at most 70"),
+        ({"map": "40x40"}, "at most 1200 cells"),
+        ({"goal": "0.0"}, "it lies at the start"),
+    ],
+)
+def test_ants_name_what_is_wrong(changes: dict[str, str], sentence: str) -> None:
+    with pytest.raises(BadInput, match=re.escape(sentence)):
+        ants.answer(asked_of_ants(**changes))
+
+
+# -- break it ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", break_it.CASES)
+def test_the_thesis_breaks_and_the_corrected_planner_does_not(case: str) -> None:
+    answer = break_it.answer({"case": case})
+    thesis, corrected = answer["sides"]["thesis"], answer["sides"]["corrected"]
+    assert bool(thesis["breaches"]) == (case != "disconnected")
+    assert bool(thesis["no_way"]) == (case == "disconnected")
+    assert (corrected["breaches"], corrected["no_way"], corrected["done"]) == ([], [], True)
+    walls, width = answer["walls"], answer["width"]
+    for side in (thesis, corrected):
+        for way in side["ways"]:
+            assert len(way["cells"]) == len(way["soc"]) == side["ticks"] + 1
+            assert all(walls[cell] == "0" for cell in way["cells"])
+            for a, b in pairwise(way["cells"]):
+                assert max(abs(a % width - b % width), abs(a // width - b // width)) <= 1
+    if answer["goals"]:
+        assert [way["cells"][-1] for way in corrected["ways"]] == answer["goals"]
+
+
+def test_an_unknown_case_is_answered_with_the_nearest() -> None:
+    with pytest.raises(BadInput, match="did you mean 'parked'"):
+        break_it.answer({"case": "parkd"})

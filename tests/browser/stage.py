@@ -47,9 +47,12 @@ def api(url: str, path: str, body: dict[str, Any] | None = None) -> Any:
 
 
 def stop_run(url: str, run: str) -> None:
-    """Tidies up: stops a run; one too busy to answer ends with its dashboard."""
+    """Tidies up: stops a run and waits for its end, so that the front page shows another; a busy one is left."""
     with contextlib.suppress(urllib.error.HTTPError):
         api(url, f"/api/runs/{run}/control", {"op": "stop"})
+        give_up = time.monotonic() + 60
+        while api(url, f"/api/runs/{run}")["alive"] and time.monotonic() < give_up:
+            time.sleep(0.1)
 
 
 def open_stage(page: Page, address: str) -> None:

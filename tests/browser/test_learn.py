@@ -73,7 +73,8 @@ def colour(page: Page, x: int, y: int, panel: int = 0) -> str:
 def test_the_cards_lead_to_the_lessons_and_their_examples(dashboard: Any, page: Page) -> None:
     page.goto(f"{dashboard.url}/learn")
     cards = page.locator(".wl-lesson-card")
-    expect(cards.locator("h2")).to_have_text(["Search playback", "Constraint tree", "Learned time", "Motor to battery"])
+    titles = ["Search playback", "Heuristics matrix", "Constraint tree", "Learned time", "Motor to battery", "Ants"]
+    expect(cards.locator("h2")).to_have_text([*titles, "Break it"])
     page.get_by_role("link", name="Tie rules").click()
     settled(page, PATIENCE_MS)
     expect(page.locator(".wl-lesson-panel")).to_have_count(4)
@@ -113,6 +114,33 @@ def test_a_search_is_stepped_with_keys_and_buttons(dashboard: Any, page: Page) -
     page.get_by_role("button", name="Play (Space)").click()
     expect(page.get_by_label("Step number")).to_have_value("128")
     expect(page.get_by_role("button", name="Play (Space)")).to_be_visible()
+
+
+def test_the_matrix_steps_all_its_searches_together(dashboard: Any, page: Page) -> None:
+    open_lesson(page, f"{dashboard.url}/learn/heuristics?step=30")
+    panels = page.locator(".wl-lesson-panel")
+    expect(panels).to_have_count(8)
+    done = page.locator(".wl-lesson-counts").evaluate_all("each => each.map((e) => Number(e.dataset.done))")
+    assert done == [30, 30, 30, 30, 10, 20, 30, 18]
+    page.keyboard.press("End")
+    expect(page.locator(".wl-lesson-counts").nth(0)).to_contain_text("14.00 long")
+    expect(page.locator(".wl-lesson-counts").nth(7)).to_contain_text("11.07 long")
+    rows = page.locator(".wl-lesson-now tbody tr")
+    expect(rows).to_have_count(8)
+    expect(rows.nth(4)).to_have_text("8 neighbours, Manhattan *1011.07")
+    # another heuristic of one search, from its menu; the address holds it
+    before = answers(page)
+    page.get_by_label("Connectivity of search 8").select_option("cut")
+    after(page, before)
+    until(page, "location.search.includes('~cut.octile.fifo')")
+    page.reload()
+    settled(page)
+    expect(page.get_by_label("Connectivity of search 8")).to_have_value("cut")
+    page.get_by_role("button", name="Manhattan oversteps").click()
+    expect(panels).to_have_count(6)
+    settled(page)
+    page.keyboard.press("End")
+    expect(page.locator(".wl-lesson-counts").nth(1)).to_contain_text("+6.6 %")
 
 
 def test_pointing_at_a_cell_tells_its_states(dashboard: Any, page: Page) -> None:
@@ -218,6 +246,7 @@ def test_random_floors_and_searches_are_added_and_removed(dashboard: Any, page: 
     [
         ("/learn/search?map=90x90", "sides of 2 to 60 cells were expected, got 90"),
         ("/learn/search?panels=astar.manhatan.fifo", "did you mean 'manhattan'?"),
+        ("/learn/break-it?case=parkd", "did you mean 'parked'?"),
         ("/learn/tree?vehicles=0.0-3.3", "2 to 5 were expected, got 1"),
         ("/learn/learned-time?start=E77&goal=N20", "did you mean 'E7'?"),
         ("/learn/motor?gear=900", "gear: a number from 5 to 60"),
@@ -396,7 +425,15 @@ def test_a_drive_is_changed_played_and_reopened(dashboard: Any, page: Page) -> N
 @pytest.mark.parametrize("context", [PHONE], indirect=True)
 @pytest.mark.parametrize(
     "path",
-    ["/learn", "/learn/search?step=60", "/learn/tree?step=5", "/learn/learned-time?step=9", "/learn/motor?step=9"],
+    [
+        "/learn",
+        "/learn/search?step=60",
+        "/learn/tree?step=5",
+        "/learn/learned-time?step=9",
+        "/learn/motor?step=9",
+        "/learn/ants?step=9",
+        "/learn/break-it?step=4",
+    ],
 )
 def test_on_a_phone_nothing_sticks_out(dashboard: Any, page: Page, path: str) -> None:
     if "?" in path:
@@ -443,3 +480,50 @@ def test_words_stand_out_from_what_is_behind_them(dashboard: Any, page: Page) ->
     for ink, ground in pairs:
         light, dark = sorted((luminance(ink), luminance(ground)), reverse=True)
         assert (light + 0.05) / (dark + 0.05) >= 4.5, (ink, ground)
+
+
+def test_the_printed_inducement_is_switched_on_and_off_without_effect(dashboard: Any, page: Page) -> None:
+    open_lesson(page, f"{dashboard.url}/learn/ants?map=12x9r25s2&start=0.0&goal=11.8&panels=literal~off&ants=6&step=3")
+    same = page.locator(".wl-lesson-same")
+    expect(same).to_contain_text("Colonies 1 and 2 are identical")
+    expect(page.locator(".wl-lesson-curve")).to_have_attribute("aria-label", re.compile(r"A\* needs \d+ steps"))
+    before = answers(page)
+    page.get_by_role("button", name="Printed inducement").click()
+    after(page, before)
+    expect(page.get_by_label("Colony 1", exact=True)).to_have_value("off")
+    expect(same).to_contain_text("identical")
+    before = answers(page)
+    page.get_by_label("Colony 1", exact=True).select_option("exponent")
+    after(page, before)
+    expect(same).to_be_empty()
+    before = answers(page)
+    page.get_by_label("Iterations", exact=True).fill("7")
+    page.get_by_label("Iterations", exact=True).blur()
+    after(page, before)
+    page.keyboard.press("End")
+    expect(page).to_have_url(re.compile(r"panels=exponent~off.*iterations=7.*step=7"))
+    expect(page.locator(".wl-lesson-counts").first).to_contain_text("best")
+
+
+def test_every_case_breaks_the_table_and_not_the_corrected_planner(dashboard: Any, page: Page) -> None:
+    open_lesson(page, f"{dashboard.url}/learn/break-it")
+    verdicts = page.locator(".wl-lesson-verdict")
+    for button, word in (
+        ("Parked vehicle", "1 breach"),
+        ("Disconnected", "no way"),
+        ("Crossing diagonals", "1 breach"),
+    ):
+        before = answers(page)
+        page.get_by_role("button", name=button).click()
+        after(page, before)
+        expect(verdicts.nth(0)).to_contain_text(word)
+        expect(verdicts.nth(1)).to_contain_text("0 breaches")
+    for _ in range(2):
+        page.keyboard.press("ArrowRight")
+    expect(page).to_have_url(re.compile(r"break-it\?case=crossing&step=2$"))
+    address = page.url
+    page.goto("about:blank")
+    open_lesson(page, address)
+    expect(page.get_by_label("Step number")).to_have_value("2")
+    expect(page.get_by_role("button", name="Crossing diagonals")).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#lesson-now")).to_contain_text("cut each other's corner")

@@ -23,18 +23,29 @@ def recorded(dashboard: Any) -> str:
     return make_run(dashboard.data / "runs", run_id=f"20261122-101500-synthetic-{uuid.uuid4().hex[:4]}")
 
 
+@pytest.mark.parametrize("context", [{}, PHONE], indirect=True, ids=["desktop", "phone"])
 def test_navigation_leads_only_to_what_exists(dashboard: Any, page: Page) -> None:
+    """Every page of the bar is there in light and dark, nothing sticks out, the console stays empty (see `page`)."""
     page.goto(f"{dashboard.url}/runs")
     links = page.locator(".wl-nav a")
     expect(links.first).to_be_visible()
     words = links.all_inner_texts()
     assert words == [word for word in ORDER if word in words]
+    schemes = ["light", "dark"]
     for word in words:
         link = page.locator(".wl-nav a", has_text=word)
         link.click()
         expect(link).to_have_class("current")
         expect(page.locator("#page > .wl-loading")).to_have_count(0)
+        expect(page.locator("#page > *").first).to_be_visible()
         expect(page.locator(".wl-empty", has_text="can't be shown")).to_have_count(0)
+        for scheme in schemes:
+            if scheme != page.locator("html").get_attribute("data-mantine-color-scheme"):
+                page.get_by_role("button", name="Light or dark").click()
+            expect(page.locator("html")).to_have_attribute("data-mantine-color-scheme", scheme)
+            wide = page.evaluate("Math.max(document.documentElement.scrollWidth, document.body.scrollWidth)")
+            assert wide <= page.viewport_size["width"], (word, scheme)  # type: ignore[index]
+        schemes.reverse()
     page.locator(".wl-nav a", has_text="Replay").click()
     expect(page.locator("h1")).to_have_text("Runs")
 

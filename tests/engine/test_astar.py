@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -85,7 +86,7 @@ def test_both_open_lists_do_the_same(question: tuple[np.ndarray, naive.Cell, nai
         ground = floor.grounds
         rows, out = single.new_trace(floor.graph.n_places), np.zeros(4, np.int64)
         single.astar_any(
-            ground.step, ground.xy, ground.length, np.zeros(floor.graph.n_places + 1, np.int32), a, b,
+            ground.step, floor.back, ground.xy, ground.length, np.zeros(floor.graph.n_places + 1, np.int32), a, b,
             single.MANHATTAN, np.zeros(0, np.int64), TIES[tie], 0, 2**62, rows, out,
         )  # fmt: skip
         assert out[1] == way.expanded
@@ -114,6 +115,31 @@ def test_a_trace_tells_the_search_and_does_not_change_it(
     for i in range(1, len(t["node"])):
         assert at[int(t["parent"][i])] < i
         assert t["g"][i] == t["g"][at[int(t["parent"][i])]] + 1000
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(HEURISTICS)), st.sampled_from(sorted(TIES)))
+def test_on_one_way_floors_parents_lead_to_their_children(seed: int, heuristic: str, tie: str) -> None:
+    rng = np.random.default_rng(seed)
+    exits = (rng.random((6, 7, 4)) < 0.7) @ np.array([1, 4, 16, 64], np.uint8)
+    graph = compile_grid(rng.random((6, 7)) < 0.9, exits.astype(np.uint8), GridMotion())
+    floor = Floor(graph, xu2025_costs(graph))
+    a, b = rng.integers(graph.n_places, size=2).tolist()
+    steps = floor.grounds.step
+    way = AStar(heuristic, tie).search(floor, a, b, trace=True)
+    network = nx.DiGraph([(p, int(q)) for p in range(graph.n_places) for q in steps[p] if q < graph.n_places])
+    network.add_nodes_from(range(graph.n_places))
+    if nx.has_path(network, a, b):
+        assert way.cost == 1000 * nx.shortest_path_length(network, a, b)
+    else:
+        assert way.status is PlanStatus.NO_PATH
+    g = dict(zip(way.trace.get("node", []), way.trace.get("g", []), strict=True))
+    for node, parent, cost in zip(*(way.trace.get(name, []) for name in ("node", "parent", "g")), strict=True):
+        if parent < 0:
+            assert node == a
+        else:
+            assert node in steps[parent]
+            assert cost == g[parent] + 1000
 
 
 def test_a_room_is_used_again_and_again() -> None:

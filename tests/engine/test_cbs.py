@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from engine.planners import constraint_tree
 from engine.planners.cbs import CBS
 from engine.planners.constraint_tree import paths_of
 from engine.planners.ecbs import ECBS
 from engine.planners.oneshot import Limits
+from engine.planners.problems import problem_of
+from engine.scenario.movingai import random_instance
 from engine.types import PlanStatus
 from engine.world.grid import GridMotion
 from tests.naive_mapf import check_plan, joint_optimum, random_problem
@@ -165,6 +169,48 @@ def test_a_stopped_search_says_how_far_it_got() -> None:
             assert found.cost >= best.cost
             check_plan(problem, found, energy=False)
     assert seen > 5
+
+
+@pytest.mark.parametrize("planner", [CBS(), ECBS(), CBS(w=1.1, cover=0), ECBS(pairs=False)], ids=repr)
+def test_the_clock_is_asked_often(planner: CBS | ECBS, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between two looks at the clock no more work is done than a chunk, one node and one pair's bound."""
+    tree = constraint_tree.high.run
+    work = [0]
+    since = [0]
+
+    def watched(*arguments: Any) -> int:
+        num = arguments[3].num
+        before = int(num[constraint_tree.high.WORK])
+        ended = int(tree(*arguments))
+        work[0] += int(num[constraint_tree.high.WORK]) - before
+        return ended
+
+    def clock() -> bool:
+        assert work[0] - since[0] <= 1.5 * constraint_tree.CHUNK_WORK
+        since[0] = work[0]
+        return work[0] > 5 * constraint_tree.CHUNK_WORK
+
+    monkeypatch.setattr(constraint_tree.high, "run", watched)
+    problem = problem_of(random_instance(np.random.default_rng(5), 16, 16, 0.2, 26))
+    found = planner.solve(problem, Limits(stop=clock))
+    clock()
+    assert work[0] > 2 * constraint_tree.CHUNK_WORK or found.status in (PlanStatus.SOLVED, PlanStatus.BOUNDED)
+
+
+def test_an_order_of_vehicles_is_gone_on_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However small the chunks of work, the answer and the work are the same."""
+    rng = np.random.default_rng(11)
+    for _ in range(6):
+        problem = problem_of(random_instance(rng, 8, 8, 0.1, 9))
+        for planner in (CBS(tries=6), ECBS()):
+            found = planner.solve(problem, Limits(nodes=200))
+            with monkeypatch.context() as patched:
+                patched.setattr(constraint_tree, "CHUNK_WORK", 1)
+                pieces = planner.solve(problem, Limits(nodes=200))
+            assert (pieces.cost, pieces.lower_bound, pieces.expanded_high, pieces.expanded_low) == (
+                found.cost, found.lower_bound, found.expanded_high, found.expanded_low,
+            )  # fmt: skip
+            assert [way.tolist() for way in pieces.states] == [way.tolist() for way in found.states]
 
 
 def test_the_tree_is_recorded_when_asked() -> None:

@@ -61,7 +61,7 @@ def check_lists(c: Claims, places: int, plain: list[naive.Intervals]) -> None:
             assert gap == (place if before is None else before)
             assert gap_end(c, gap) == plain[place].opens_until(tick)
             for span in (1, 3):
-                assert free_from(c, place, tick, span) == plain[place].free_from(tick, span)
+                assert free_from(c.start, c.end, c.next, place, tick, span) == plain[place].free_from(tick, span)
 
 
 @pytest.mark.nojit_slice

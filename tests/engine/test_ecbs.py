@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.planners.constraint_tree import energy_roads
 from engine.planners.ecbs import ECBS
+from engine.planners.kernels import cbs_low, cbs_pair
 from engine.planners.oneshot import Limits
 from engine.planners.problems import problem_of
 from engine.planners.time_window import TimeWindow
@@ -34,7 +36,8 @@ VARIANTS = {
     "bypass": replace(PLAIN, bypass=True),
     "target": replace(PLAIN, target=True),
     "disjoint and target": replace(PLAIN, disjoint=True, target=True),
-    "first plan": replace(PLAIN, tries=4),
+    "first plan": replace(PLAIN, tries=4, repairs=0),
+    "first plan, repaired": replace(PLAIN, tries=1, repairs=6),
     "pairs": replace(PLAIN, pairs=True),
     "all but pairs": ECBS(pairs=False),
     "other weights": ECBS(weights=(0.0, 1.0, 0.0)),
@@ -60,6 +63,35 @@ def test_equals_joint_search(n: int, side: int, times: int) -> None:
             assert found.status == PlanStatus.BUDGET_SPENT
             assert found.lower_bound <= best
     assert plans > times // 3
+
+
+@pytest.mark.parametrize("standby_w", [30.0, 300.0])
+def test_a_pair_costs_what_a_joint_search_says(standby_w: float) -> None:
+    """The bound of two vehicles alone is their optimum, and never above it when the work is spent before."""
+    rng = np.random.default_rng(int(standby_w))
+    work, more = cbs_pair.new_pair_work(1 << 12, 16), 0
+    for _ in range(40):
+        problem = random_problem(rng, 2, int(rng.integers(2, 5)), 3, 0.1, standby_w)
+        roads = energy_roads(problem)
+        h = np.empty((2, len(roads.place)), np.int64)
+        keys = np.empty(len(roads.to) + len(roads.place) + 16, np.int64)
+        for k in range(2):
+            cls, goal = int(problem.cls[k]), int(problem.goals[k])
+            cbs_low.fill_cost_to_goal(roads, cls, goal, problem.blocked, h[k], keys, np.empty(len(keys), np.int32))
+        alone = h[[0, 1], problem.starts]
+        if (alone >= cbs_low.FAR).any():
+            continue
+        best = joint_optimum(problem, energy=True)
+        for limit in (100_000, 5):
+            out = np.zeros(2, np.int64)
+            ended = cbs_pair.pair_cost(roads, work, h, problem.cls, problem.starts, problem.goals, 0, 1, limit, out)
+            if ended == cbs_low.SPENT:
+                assert limit == 5
+                assert best is None or alone.sum() <= out[0] <= best
+            else:
+                assert (int(out[0]) if ended == cbs_low.FOUND else None) == best
+        more += best is not None and best > alone.sum()
+    assert more > 2
 
 
 @pytest.mark.parametrize("standby_w", [30.0, 300.0])

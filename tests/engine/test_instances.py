@@ -388,12 +388,38 @@ def test_a_goal_out_of_reach_is_found() -> None:
 
 def test_planners_are_offered_where_they_fit() -> None:
     of = asked(instance(1))
-    assert planners_for(of) == ["prioritized", "quickest", "astar", "eea", "cbs", "ecbs", "time-window"]
-    on_hold = ["prioritized", "quickest", "stochastic", "astar-distance", "astar-turns", "astar", "eea"]
+    assert planners_for(of) == [
+        "prioritized",
+        "quickest",
+        "astar",
+        "eea",
+        "aco",
+        "soochow-table",
+        "cbs",
+        "ecbs",
+        "time-window",
+    ]
+    on_hold = [
+        "prioritized",
+        "quickest",
+        "stochastic",
+        "astar-distance",
+        "astar-turns",
+        "astar",
+        "eea",
+        "aco",
+        "soochow-table",
+    ]
     assert planners_for(load("soochow2022")) == on_hold
-    assert planners_for(load("lian2024")) == on_hold[:-2]
+    assert planners_for(load("lian2024")) == on_hold[:-4]
     assert planners_for(asked(instance(1), motion__turning="pivot")) == ["prioritized", "quickest", "cbs", "ecbs"]
-    assert planners_for(asked(instance(1), floor__connectivity=8)) == ["prioritized", "quickest", "astar"]
+    assert planners_for(asked(instance(1), floor__connectivity=8)) == [
+        "prioritized",
+        "quickest",
+        "astar",
+        "aco",
+        "soochow-table",
+    ]
     assert planners_for(asked(instance(1), **HOLD)) == on_hold
 
 

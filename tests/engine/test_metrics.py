@@ -3,12 +3,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from engine.results.metrics import metrics
 from engine.results.runlog import LogReader, MemoryLog
+from engine.results.schema import LIST, TABLES
 from engine.scenario import parse
-from engine.types import PRIMITIVE_0, Activity, OrderState
+from engine.traffic import DETOUR
+from engine.types import PRIMITIVE_0, Activity, OrderState, PlanStatus
 from engine.world.floor import build_world
 from tests import synthetic
 from tests.naive_view import NaiveView
@@ -68,6 +71,15 @@ def test_energy_is_the_last_ledger(counted: tuple[dict, NaiveView]) -> None:
     assert found["energy_per_order_j"] == pytest.approx(found["energy_j"] / found["orders_done"])
     assert found["stranded"] == 0
     assert found["planner_p50_ms"] <= found["planner_p95_ms"]
+
+
+def test_a_plan_that_goes_another_way_is_no_failed_plan() -> None:
+    log = MemoryLog()
+    given = [str(PlanStatus.SOLVED), DETOUR, DETOUR, str(PlanStatus.NO_PATH), str(PlanStatus.CHARGE)]
+    empty = {name: [[]] * 5 if kind is LIST else np.zeros(5, int) for name, kind in TABLES["plans"].items()}
+    log.write("plans", {**empty, "status": given})
+    found = metrics(log)
+    assert (found["plans"], found["plans_detoured"], found["plans_failed"]) == (5, 2, 2)
 
 
 def test_metrics_are_plain_json_also_of_an_empty_log() -> None:

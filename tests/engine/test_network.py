@@ -252,3 +252,26 @@ def test_a_fleet_on_the_network_stays_live_and_legal(planner: str, vehicles: int
     now = sim.metrics()
     assert (sim.deadlocks, now["without_plan"], now["stranded"]) == (0, 0, 0)
     assert now["oldest_open_s"] < 60
+
+
+def test_blocked_lanes_and_breakdowns_end_in_no_deadlock():
+    """Sixty vehicles, a lane blocked and a vehicle broken down every half a minute, all put right again."""
+    log = MemoryLog()
+    sim = build(load("lian2024", {"fleet.count": 60, "planner.name": "stochastic"}), seed=5, recorder=log)
+    rng = np.random.default_rng(5)
+    lanes, vehicles = rng.integers(112, sim.graph.n_places, 8), rng.integers(0, 60, 8)
+    for lane, vehicle in zip(lanes.tolist(), vehicles.tolist(), strict=True):
+        sim.advance(300)
+        sim.submit({"do": "block", "place": lane})
+        sim.submit({"do": "fail", "vehicle": vehicle})
+        sim.check()
+    for lane, vehicle in zip(lanes.tolist(), vehicles.tolist(), strict=True):
+        sim.submit({"do": "unblock", "place": lane})
+        sim.submit({"do": "repair", "vehicle": vehicle})
+    done = sim.book.n_done
+    sim.advance(1200)
+    sim.flush()
+    assert judge(log, sim.scenario, sim.world) == []
+    assert sim.book.n_done > done + 20
+    now = sim.metrics()
+    assert (sim.deadlocks, now["without_plan"], now["stranded"]) == (0, 0, 0)

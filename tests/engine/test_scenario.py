@@ -314,7 +314,10 @@ def test_load_reads_files_and_says_what_is_wrong_with_them(tmp_path: Path) -> No
     ("name", "sentence"),
     [
         ("soochow2023", "unknown scenario 'soochow2023'; did you mean 'soochow2022'?"),
-        ("xyz", "unknown scenario 'xyz'; known: lian2024, soochow2022, soochow2022-continuous, warehouse-large"),
+        (
+            "xyz",
+            "unknown scenario 'xyz'; known: lian2024, soochow2022, soochow2022-battery, soochow2022-continuous",
+        ),
         ("nowhere/mine.toml", "nowhere/mine.toml: there is no such file"),
         ("../soochow2022", "../soochow2022: there is no such file"),
         ("mine.toml", "mine.toml: there is no such file"),
@@ -337,13 +340,27 @@ def test_the_library_lists_names_with_titles() -> None:
         "soochow2022": "Soochow thesis 2022: ten orders, eight AGVs",
         "lian2024": "Path network, 29 AGVs, 16 entrances",
         "soochow2022-continuous": "Soochow floor, orders without end",
+        "soochow2022-four": "Soochow thesis 2022: four directions everywhere",
+        "soochow2022-eight": "Soochow thesis 2022: eight directions",
+        "soochow2022-swap": "Break it: two change places",
+        "soochow2022-crossing": "Break it: crossing diagonals",
+        "soochow2022-parked": "Break it: a parked vehicle",
+        "soochow2022-idle": "Break it: an idle vehicle",
+        "soochow2022-waiting": "Break it: waiting at the start",
+        "soochow2022-disconnected": "Break it: a conflict for a moment, an obstacle for good",
+        "soochow2022-dead-end": "Break it: a charger at the end of a one-way lane",
+        "soochow2022-battery": "Break it: a task at 31 % of charge",
         "warehouse-large": "Large warehouse: 200 AGVs",
         "xu2025": "Xu & Wang 2025: four vehicles from corner to corner",
         "zhang2021": "Terrain: a robot crosses hills that it half knows",
+        "wang2019": "Wang et al. 2019: two robots, four orders, two exits",
     }
 
 
-@pytest.mark.parametrize("name", ["soochow2022", "soochow2022-continuous", "warehouse-large", "xu2025"])
+@pytest.mark.parametrize(
+    "name",
+    ["soochow2022", "soochow2022-continuous", "soochow2022-four", "soochow2022-eight", "warehouse-large", "xu2025"],
+)
 def test_built_in_scenarios_round_trip_and_pass_every_check(name: str) -> None:
     found = load(name)
     assert found.name == name

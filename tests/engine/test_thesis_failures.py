@@ -1,5 +1,7 @@
 """Ten ways in which a thesis's reservation table lets vehicles meet, each on a few cells: here nobody does.
 
+The table itself, as described (`strict_thesis`), fails each of the built-in examples; corrected, it passes them.
+
 Source: the Soochow thesis 2022 and its documented counterexamples. The judge, which shares no code with the planner,
 decides.
 """
@@ -12,10 +14,12 @@ import numpy as np
 import pytest
 
 from engine import MemoryLog, judge, parse
-from engine.build import build
+from engine.build import build, resume, swap
 from engine.errors import ScenarioError
+from engine.scenario import load
 from engine.scenario.checks import check
-from engine.world import build_world
+from engine.sim.judge import BreachKind
+from engine.world import build_world, one_way
 
 RULES = pytest.mark.parametrize("occupancy", ["hold", "mapf"])
 
@@ -185,3 +189,121 @@ def test_an_order_that_no_battery_can_carry_is_found():
 def test_more_vehicles_than_places_to_rest_are_refused():
     with pytest.raises(ScenarioError, match="vehicles"):
         build(scenario(RING, [[1, 2]], vehicles=3))
+
+
+# ---------------------------------------------------------------- the thesis's table, as described and corrected
+
+CAUGHT = {
+    "swap": (BreachKind.SWAP, 1, (0, 1)),
+    "crossing": (BreachKind.CROSSING, 0, (0, 1)),
+    "parked": (BreachKind.VERTEX, 2, (0, 1)),
+    "idle": (BreachKind.VERTEX, 2, (0, 1)),
+    "waiting": (BreachKind.VERTEX, 1, (0, 3)),
+    "dead-end": (BreachKind.SWAP, 0, (0, 1)),
+    "battery": (BreachKind.SOC, 33, (0,)),
+}
+"""What the judge finds first in each example: rule, tick of its begin, vehicles."""
+BY_ANTS_AND_BY_ASTAR = pytest.mark.parametrize("ways", ["aco", "astar"])
+
+
+def example(name: str, **parameters: Any) -> Any:
+    changes = {f"planner.parameters.{key}": value for key, value in parameters.items()}
+    return load(f"soochow2022-{name}", changes)
+
+
+def recorded(asked: Any) -> tuple[Any, MemoryLog]:
+    log = MemoryLog()
+    sim = build(asked, recorder=log)
+    sim.advance(int(asked.time.until_s))
+    sim.flush()
+    return sim, log
+
+
+@BY_ANTS_AND_BY_ASTAR
+@pytest.mark.parametrize("name", CAUGHT)
+def test_the_judge_catches_the_thesis_table(name, ways):
+    sim, log = recorded(example(name, ways=ways))
+    breaches = judge(log, sim.scenario, sim.world)
+    assert (breaches[0].kind, breaches[0].tick, breaches[0].vehicles) == CAUGHT[name]
+    assert {b.kind for b in breaches} == {CAUGHT[name][0]}, "nothing else is wrong with what was executed"
+    assert sim.done
+
+
+@BY_ANTS_AND_BY_ASTAR
+@pytest.mark.parametrize("name", [*CAUGHT, "disconnected"])
+def test_corrected_it_passes_the_same_floors(name, ways):
+    sim, log = recorded(example(name, ways=ways, strict_thesis=False))
+    assert judge(log, sim.scenario, sim.world) == []
+    assert sim.done
+    assert not sim.open_loop
+
+
+def test_a_conflict_for_a_moment_leaves_the_thesis_without_a_way():
+    sim, log = recorded(example("disconnected"))
+    assert not sim.done
+    assert sim.graph.state_place[sim.fleet.state[1]] != sim.goals[1]
+    assert "no way" in log.table("events")["kind"]
+    asked = example("disconnected", strict_thesis=False)
+    assert recorded(asked)[0].tick == 5, "one tick of waiting was enough"
+
+
+def test_the_battery_runs_to_where_the_thesis_would_take_it():
+    sim, log = recorded(example("battery"))
+    charge = log.table("battery")["charge_mc"] / sim.parts.battery.capacity_mc
+    assert charge.min() == pytest.approx(-0.24)
+
+
+@pytest.mark.parametrize("name", ["swap", "dead-end"])
+def test_the_one_way_rule_by_node_permits_what_the_rule_by_way_forbids(name):
+    """Every node of the dead end's floor has a one-way straight; a vehicle can still be met on a way."""
+    graph = build_world(example(name)).graph
+    assert bool(one_way.breaks_node_rule(graph)) == (name == "swap")
+    assert one_way.both_ways(graph)
+
+
+@pytest.mark.parametrize("rule", ["lanes", "ways"])
+def test_only_dead_ends_of_the_one_way_floor_are_driven_both_ways(rule):
+    world = build_world(load("soochow2022", {"floor.one_way": rule}))
+    ends = {*world.chargers.tolist(), *(s.place for s in world.stations)}
+    between_aisles = [pair for pair in one_way.both_ways(world.graph) if not ends & set(pair)]
+    assert bool(between_aisles) == (rule == "lanes"), "as drawn, crossings are open"
+    assert len(one_way.both_ways(world.graph)) - len(between_aisles) == len(ends)
+    assert one_way.strongly_connected(world.graph)
+    if rule == "ways":
+        assert {*one_way.breaks_node_rule(world.graph)} <= {*world.access.tolist()}, "before endpoints only"
+        findings = check(load("soochow2022", {"floor.one_way": rule}), world)
+        assert {f.level for f in findings if f.check in ("reachable", "one-way", "well-formed")} == {"ok"}
+
+
+def test_a_one_way_floor_costs_more_than_one_step():
+    """The thesis says one step at most, compared with eight directions."""
+    steps = {}
+    for name, changes in (("one-way", {"floor.one_way": "ways"}), ("eight", {})):
+        world = build_world(load("soochow2022" if changes else "soochow2022-eight", changes))
+        at = [s.place for s in world.stations]
+        steps[name] = one_way.steps_between(world.graph, np.array(at, np.int32))
+    more = (steps["one-way"] - steps["eight"])[~np.eye(len(at), dtype=bool)]
+    assert (more >= 0).all()
+    assert (more > 1).mean() > 0.5
+
+
+def test_a_checkpoint_of_an_open_loop_goes_on_to_the_same_collision(tmp_path):
+    asked = example("parked")
+    whole = build(asked)
+    whole.advance(60)
+    sim = build(asked)
+    sim.advance(1)
+    sim.checkpoint(tmp_path / "one")
+    again = resume(tmp_path / "one")
+    again.advance(59)
+    assert again.digest() == whole.digest()
+    with pytest.raises(ScenarioError, match="executed as they are"):
+        swap(sim, planner="soochow-table", overrides={"planner.parameters.strict_thesis": False})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"), [("ways", "ants", "'aco' or 'astar'"), ("ants", 0, "from 1 to 1000")]
+)
+def test_bad_parameters_of_the_table_are_named(key, value, sentence):
+    with pytest.raises(ScenarioError, match=sentence):
+        build(example("swap", **{key: value}))

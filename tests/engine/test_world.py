@@ -268,6 +268,7 @@ BLOCKS = {
     "racks": 12,
     "inbound": 2,
     "outbound": 2,
+    "exits": 0,
     "chargers": 5,
     "parking": 7,
 }
@@ -286,16 +287,19 @@ BLOCKS = {
             "racks": st.integers(0, 2),
             "inbound": st.integers(0, 1),
             "outbound": st.integers(0, 1),
+            "exits": st.integers(0, 3),
             "chargers": st.integers(0, 5),
             "parking": st.integers(0, 1),
         }
     )
 )
 def test_generated_floors_are_strongly_connected_well_formed_and_complete(blocks: dict[str, int]) -> None:
+    blocks["exits"] = min(blocks["exits"], 2 * (blocks["rows"] - 1))
     rows = rows_of_blocks(**blocks)
     text = "".join(rows)
-    for letter, key in {"I": "inbound", "O": "outbound", "R": "racks", "C": "chargers", "P": "parking"}.items():
+    for letter, key in {"I": "inbound", "R": "racks", "C": "chargers", "P": "parking"}.items():
         assert text.count(letter) == blocks[key]
+    assert text.count("O") == blocks["outbound"] + blocks["exits"]
     world = floor(*rows)
     assert nx.is_strongly_connected(place_graph(world))
     assert is_well_formed(world)
@@ -319,6 +323,7 @@ def test_lanes_keep_right_and_one_way_aisles_alternate() -> None:
         ({"racks": 10_000}, "storage cells beside an aisle; 10000 racks and 7 parking bays were asked for"),
         ({"inbound": 99}, "there is room for 8 inbound stations on the west side; 99 were asked for"),
         ({"outbound": 99}, "there is room for 8 outbound stations on the east side; 99 were asked for"),
+        ({"exits": 99}, "there is room for 6 exits at the ends of aisles; 99 were asked for"),
         ({"chargers": 99}, "chargers on the south and north sides"),
         ({"columns": 100, "rows": 100, "block_width": 100, "block_height": 20}, "are more than 1,000,000"),
     ],

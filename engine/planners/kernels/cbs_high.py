@@ -2,9 +2,10 @@
 
 Source: CBS (Sharon et al. 2015); cardinal conflicts and bypass (Boyarski et al. 2015); disjoint splitting (Li et al.
 2019); dependency heuristics CG, DG, WDG (Felner et al. 2018, Li et al. 2019); target reasoning (Li et al. 2020); focal
-list (Barer et al. 2014); dynamic priority of vehicles (xu2025, eq. 14). Promise: with w = 1 the plan is optimal for the
-sum of costs; with w > 1 its cost is at most w times the proven lower bound. The one exception is `priority-branch`,
-which is incomplete. Unsolvable instances don't end: the caller limits the work.
+list (Barer et al. 2014); repair of parts of a plan (Li et al. 2021); dynamic priority of vehicles (xu2025, eq. 14).
+Promise: with w = 1 the plan is optimal for the sum of costs; with w > 1 its cost is at most w times the proven lower
+bound. The one exception is `priority-branch`, which is incomplete. Unsolvable instances don't end: the caller limits
+the work.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from engine.planners.kernels.cbs_low import (
     LAST,
     NONE,
     ROOM,
+    SPENT,
     TIES,
     Bans,
     Layers,
@@ -63,13 +65,14 @@ DONE, MORE, GROW, EMPTY = 0, 1, 2, 3
 
 DISJOINT, CARDINAL, BYPASS, COVER, TARGET, BRANCH, W_MILLION, TRIES, PAIRED = range(9)
 """Slots of the options: switches (PAIRED: bounds by pairs); COVER 0 none, 1 CG, 2 DG, 3 WDG; w in millionths;
-prioritized orders to try."""
+orders to plan anew in: later ones replan a part of the best plan."""
 
 (
     NODES, RECS, ARENA, BEST, BEST_COST, HEAP, FOCAL, WAITING, HIGH, LOW, BOUND, STAGE, LONGEST, PAIRS, PAIR_STAMP,
-    TRIED, TURNS, BEST_NODE,
-) = range(18)  # fmt: skip
-"""Slots of Tree.num: counts, incumbent (1: there is one) and its cost, heap sizes, expansions, proven bound …"""
+    TRIED, TURNS, BEST_NODE, WORK, TILL, PLACED, PLACED_RECS, PLACED_ARENA, PLACED_COST,
+) = range(24)  # fmt: skip
+"""Slots of Tree.num: counts, incumbent (1: there is one) and its cost, heap sizes, expansions, proven bound …
+WORK counts all that takes about 100 ns; a run is to end when it reaches TILL. PLACED: vehicles of an order done."""
 
 (PARENT, AGENT, KIND, PLACE, PLACE2, TICK, KNOWS, CLASHES, STATUS, TURN, CONFLICT) = range(11)
 """Columns of Tree.node: node above · the constraint it adds · 1 when its h is from its own conflicts · conflicts · what
@@ -84,6 +87,8 @@ OPEN_LIST, FOCAL_LIST, WAIT_LIST = range(3)
 NEVER = np.int64(2**62)
 MANY = np.int64(2**60)
 """No limit within one search: it is finite."""
+REPLANNED = 5
+"""Of the best plan 2 to 1 + REPLANNED vehicles are planned anew at a time."""
 MATCHED = 10
 """Vehicles that an exact matching takes in; among more it is greedy."""
 
@@ -218,6 +223,13 @@ def _keep_way(t: Tree, path: I32, agent: int, node: int, out: I64, least: int) -
 
 
 @njit(cache=True, nogil=True)
+def _count(t: Tree, d: Desk) -> None:
+    """Enter the expansions of the last search."""
+    t.num[LOW] += d.out[2]
+    t.num[WORK] += d.out[2]
+
+
+@njit(cache=True, nogil=True)
 def _replan(
     r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, agent: int, most: int, wide: int
 ) -> int:  # fmt: skip
@@ -237,7 +249,7 @@ def _replan(
             r, w, c.h[agent], np.int64(c.cls[agent]), np.int64(c.start[agent]), np.int64(c.goal[agent]), mode, bound,
             limit, d.out,
         )  # fmt: skip
-        t.num[LOW] += d.out[2]
+        _count(t, d)
         if turn == 0:
             if ended != FOUND:
                 return ended
@@ -305,6 +317,7 @@ def find_conflicts(place: I32, t: Tree, d: Desk, recs: I32) -> int:
                         d.met[j] += 1
                         d.met[k] += 1
     d.found[0] = count
+    t.num[WORK] += n * (longest + 1) // 8
     return count
 
 
@@ -313,9 +326,11 @@ def _ways_within(r: Roads, k: Bans, c: Case, t: Tree, m: Layers, rec: int, cap: 
     """All ways of a record's vehicle within a cost, under the constraints it was made with. False: no room."""
     agent = t.way[rec, OWNER]
     load_constraints(r, k, c, t, t.way[rec, MADE_AT], agent)
-    return build_layers(
+    fits = build_layers(
         r, k, m, c.h[agent], np.int64(c.cls[agent]), np.int64(c.start[agent]), np.int64(c.goal[agent]), cap, exact
     )
+    t.num[WORK] += 1 + (m.size[0] if fits else len(m.state))
+    return fits
 
 
 @njit(cache=True, nogil=True)
@@ -354,7 +369,7 @@ def _cardinal(r: Roads, w: Work, c: Case, t: Tree, d: Desk, m: Layers, node: int
 
 
 @njit(cache=True, nogil=True)
-def _joint(r: Roads, d: Desk, x: Layers, y: Layers, gx: int, gy: int) -> int:
+def _joint(r: Roads, t: Tree, d: Desk, x: Layers, y: Layers, gx: int, gy: int) -> int:
     """1 when a pair of ways from the two layers has no conflict, 0 when there is none, -1 when too large to tell."""
     d.joint_clock[0] += 1
     stamp = d.joint_clock[0]
@@ -370,6 +385,7 @@ def _joint(r: Roads, d: Desk, x: Layers, y: Layers, gx: int, gy: int) -> int:
     nx, ny = x.size[0], y.size[0]
     while top > 0:
         top -= 1
+        t.num[WORK] += 1
         pair = d.joint_stack[top]
         i, j = pair // wide, pair % wide
         if i == nx and j == ny:
@@ -443,7 +459,7 @@ def _dependency(
             ):
                 free = np.int64(-1)
                 break
-            free = np.int64(_joint(r, d, x, y, gx, gy))
+            free = np.int64(_joint(r, t, d, x, y, gx, gy))
             if free != 0:
                 break
         if free != 0:
@@ -537,13 +553,18 @@ def weighted_cover(weight: I64, mark: I32, value: I64, stack: I32) -> int:
 
 @njit(cache=True, nogil=True)
 def _cover_bound(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, how: int) -> int:
-    """Lower bound of the extra cost that a node's conflicts force (unit costs)."""
-    n = len(c.start)
+    """Lower bound of the extra cost that a node's conflicts force (unit costs); -1 when the work is spent before.
+
+    What pairs cost is kept, so that asking again goes on where it ended.
+    """
+    n, known = len(c.start), t.num[PAIRS]
     d.weight[:] = 0
     for k in range(d.found[0]):
         a, b = np.int64(d.a[k]), np.int64(d.b[k])
         if d.weight[a, b] != 0:
             continue
+        if t.num[WORK] >= t.num[TILL] and t.num[PAIRS] > known:
+            return -1
         if how == 1:
             if _cardinal(r, w, c, t, d, x, node, k) < 2:
                 continue
@@ -723,24 +744,29 @@ def _chosen(t: Tree, node: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _raised(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, opt: I64) -> bool:
-    """Know a node's least extra cost. True when it now stands elsewhere in the open list, or is pruned."""
+def _raised(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, opt: I64) -> int:
+    """Know a node's least extra cost. FOUND when it now stands elsewhere in the open list, or is pruned; else NONE.
+
+    SPENT when the work is spent before it is known.
+    """
     if (opt[COVER] == 0 and opt[PAIRED] == 0) or t.node[node, KNOWS] == 1:
-        return False
-    t.node[node, KNOWS] = 1
+        return NONE
     extra = np.int64(0)
     if opt[COVER] > 0:
         extra = np.int64(_cover_bound(r, w, c, t, d, x, y, node, opt[COVER]))
+        if extra < 0:
+            return SPENT
+    t.node[node, KNOWS] = 1
     if opt[PAIRED] == 1:
         extra = max(extra, pair_bound(c, t, d, node))
     if extra <= t.worth[node, H]:
-        return False
+        return NONE
     t.worth[node, H] = extra
     if t.worth[node, PROVEN] + extra >= t.num[BEST_COST]:
         t.node[node, STATUS] = PRUNED
     else:
         _push_open(t, node, opt)
-    return True
+    return FOUND
 
 
 @njit(cache=True, nogil=True)
@@ -794,7 +820,7 @@ def _bypassed(t: Tree, node: int, kid: int, own: int) -> bool:
 
 @njit(cache=True, nogil=True)
 def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, opt: I64) -> int:
-    """Resolve one conflict of a node. FULL when there is no room: nothing has happened then."""
+    """Resolve one conflict of a node. FULL when there is no room, SPENT when the work is: nothing has happened then."""
     while True:
         own = find_conflicts(r.place, t, d, t.rec[node])
         if own == 0:
@@ -802,8 +828,9 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
             if t.worth[node, COST] < t.num[BEST_COST]:
                 _take(t, node)
             return FOUND
-        if _raised(r, w, c, t, d, x, y, node, opt):
-            return FOUND
+        raised = _raised(r, w, c, t, d, x, y, node, opt)
+        if raised != NONE:
+            return raised
         k = _choose(r, w, c, t, d, x, node, opt)
         a, b = np.int64(d.a[k]), np.int64(d.b[k])
         low = _priority(c, t, d, node, a, np.int64(d.tick[k]))
@@ -840,42 +867,53 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
 
 
 @njit(cache=True, nogil=True)
-def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32) -> int:
-    """Vehicles one after another in an order, earlier ones being obstacles; a better plan becomes the incumbent."""
-    recs, arena = t.num[RECS], t.num[ARENA]
+def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32, kept: int) -> int:
+    """Vehicles one after another in an order, earlier ones being obstacles; a better plan becomes the incumbent.
+
+    The first `kept` of the order keep their ways of the incumbent. SPENT when the work is spent before the last one;
+    the next call goes on. FULL: the order begins again.
+    """
+    if t.num[PLACED] == 0:
+        t.num[PLACED_RECS], t.num[PLACED_ARENA], t.num[PLACED_COST] = t.num[RECS], t.num[ARENA], 0
+        for i in range(kept if t.num[BEST] else 0):
+            d.stack[order[i]] = t.best[order[i]]
+            t.num[PLACED_COST] += t.way[t.best[order[i]], PRICE]
+            t.num[PLACED] += 1
     clear_others(w.others)
     clear_constraints(w.bans)
     finish_constraints(w.bans)
-    total, good = 0, True
-    for k in order:
+    for i in range(t.num[PLACED]):
+        rec = np.int64(d.stack[order[i]])
+        add_other(r.place, w.others, t.states, t.way[rec, FIRST], t.way[rec, LENGTH])
+    ended = np.int64(FOUND)
+    while ended == FOUND and t.num[PLACED] < len(order):
+        if t.num[WORK] >= t.num[TILL]:
+            return SPENT
+        k = np.int64(order[t.num[PLACED]])
+        most = t.num[BEST_COST] - 1 - t.num[PLACED_COST]
+        for i in range(t.num[PLACED] + 1, len(order)):
+            most -= t.way[t.rec[0, order[i]], LEAST]
         d.out[2] = 0
-        ended = search(
+        ended = np.int64(search(
             r, w, c.h[k], np.int64(c.cls[k]), np.int64(c.start[k]), np.int64(c.goal[k]), np.int64(HARD),
-            t.num[BEST_COST] - 1 - total, np.int64(1_000_000), d.out,
-        )  # fmt: skip
-        t.num[LOW] += d.out[2]
-        if ended == FULL:
-            t.num[RECS], t.num[ARENA] = recs, arena
-            return FULL
-        if ended != FOUND:
-            good = False
-            break
-        rec = _keep_way(t, w.path, np.int64(k), np.int64(0), d.out, d.out[0])
-        if rec < 0:
-            t.num[RECS], t.num[ARENA] = recs, arena
-            return FULL
-        d.stack[k] = rec
-        total += d.out[0]
-        if not add_other(r.place, w.others, t.states, t.way[rec, FIRST], t.way[rec, LENGTH]):
-            t.num[RECS], t.num[ARENA] = recs, arena
-            return FULL
-    if good and total < t.num[BEST_COST]:
-        t.num[BEST], t.num[BEST_COST], t.num[BEST_NODE] = 1, total, -1
-        for k in range(len(order)):
-            t.best[k] = d.stack[k]
+            most, np.int64(1_000_000), d.out,
+        ))  # fmt: skip
+        _count(t, d)
+        if ended == FOUND:
+            rec = np.int64(_keep_way(t, w.path, k, np.int64(0), d.out, d.out[0]))
+            if rec < 0 or not add_other(r.place, w.others, t.states, t.way[rec, FIRST], t.way[rec, LENGTH]):
+                ended = np.int64(FULL)
+            else:
+                d.stack[k] = rec
+                t.num[PLACED] += 1
+                t.num[PLACED_COST] += d.out[0]
+    t.num[PLACED] = 0
+    if ended == FOUND and t.num[PLACED_COST] < t.num[BEST_COST]:
+        t.num[BEST], t.num[BEST_COST], t.num[BEST_NODE] = 1, t.num[PLACED_COST], -1
+        t.best[:] = d.stack[: len(order)]
     else:
-        t.num[RECS], t.num[ARENA] = recs, arena
-    return FOUND
+        t.num[RECS], t.num[ARENA] = t.num[PLACED_RECS], t.num[PLACED_ARENA]
+    return FULL if ended == FULL else FOUND
 
 
 @njit(cache=True, nogil=True)
@@ -944,14 +982,17 @@ def _cramped(t: Tree, w: Work) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def run(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt: I64, nodes: int, work: int) -> int:
-    """Go on until the plan is proven, `nodes` more nodes or `work` more single-vehicle expansions are spent.
+def run(
+    r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt: I64, nodes: int, expansions: int, work: int
+) -> int:  # fmt: skip
+    """Go on until the plan is proven, or so many more nodes, single-vehicle expansions or steps of work are spent.
 
     With no nodes it ends once the root is there, so that c.pair can be filled for its conflicts.
     """
-    till_high, till_low = t.num[HIGH] + nodes, t.num[LOW] + work
+    till_high, till_low = t.num[HIGH] + nodes, t.num[LOW] + expansions
+    t.num[TILL] = t.num[WORK] + work
     if t.num[STAGE] == 0:
-        ended = _root(r, w, c, t, d, opt)
+        ended = np.int64(_root(r, w, c, t, d, opt))
         if ended != FOUND:
             return GROW if ended == FULL else EMPTY
         t.num[STAGE] = 1
@@ -963,13 +1004,15 @@ def run(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt:
             t.num[BOUND] += t.worth[0, H]
         _push_open(t, np.int64(0), opt)
         t.num[STAGE] = 2
-    while t.num[TRIED] < min(opt[TRIES], len(c.orders)):
+    while t.num[TRIED] < len(c.orders):
         if t.num[BEST] == 1 and t.num[BEST_COST] * 1_000_000 <= t.num[BOUND] * opt[W_MILLION]:
             break
         if t.num[LOW] >= till_low:
             return MORE
-        if _prioritize(r, w, c, t, d, c.orders[t.num[TRIED]]) == FULL:
-            return GROW
+        kept = 0 if t.num[TRIED] < opt[TRIES] else max(len(c.start) - 2 - t.num[TRIED] % REPLANNED, 0)
+        ended = np.int64(_prioritize(r, w, c, t, d, c.orders[t.num[TRIED]], np.int64(kept)))
+        if ended != FOUND:
+            return GROW if ended == FULL else MORE
         t.num[TRIED] += 1
     while True:
         _weed(t)
@@ -981,14 +1024,17 @@ def run(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt:
         t.num[BOUND] = max(t.num[BOUND], t.key[OPEN_LIST, 0] >> 10)
         if t.num[BEST] == 1 and t.num[BEST_COST] * 1_000_000 <= t.num[BOUND] * opt[W_MILLION]:
             return DONE
-        if t.num[HIGH] >= till_high or t.num[LOW] >= till_low:
+        if t.num[HIGH] >= till_high or t.num[LOW] >= till_low or t.num[WORK] >= t.num[TILL]:
             return MORE
         if _cramped(t, w):
             return GROW
         node = _next(t, opt[W_MILLION])
         raised = t.worth[node, PROVEN] + t.worth[node, H]
-        if _expand(r, w, c, t, d, x, y, node, opt) == FULL:
+        ended = np.int64(_expand(r, w, c, t, d, x, y, node, opt))
+        if ended == FULL:
             return GROW
+        if ended == SPENT:
+            return MORE
         # a node that only moved up in the open list is not expanded yet
         if t.node[node, STATUS] == CHOSEN or raised == t.worth[node, PROVEN] + t.worth[node, H]:
             t.num[HIGH] += 1

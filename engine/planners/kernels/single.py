@@ -83,26 +83,55 @@ def cell_of(graph: MotionGraph) -> int:
     return next((round(p.length_mm) for p in graph.primitives if p.turn_deg == 0 and p.length_mm), 1000)
 
 
+class Lattice(NamedTuple):
+    """A 4-connected grid's cells in rows, with a free margin, so that a neighbour is an offset.
+
+    cell: (P,) of each place, x | y << 16 · place: (C,) of each cell, -1 for none · ways: (C,) a bit for each direction
+    that leads on · wide: cells in a row.
+    """
+
+    cell: I32
+    place: I32
+    ways: NDArray[np.uint8]
+    wide: int
+
+
+def lattice_of(grounds: Grounds) -> Lattice:
+    """The places of a 4-connected grid. Raises ValueError where a step leads elsewhere than to the next cell."""
+    none = len(grounds.step) - 1
+    cell = grounds.xy[:none] + 0x10001
+    x, y = cell & 0xFFFF, cell >> 16
+    wide = int(x.max(initial=0)) + 2
+    at = x + y * wide
+    size = wide * (int(y.max(initial=0)) + 2)
+    place, ways = np.full(size, -1, np.int32), np.zeros(size, np.uint8)
+    place[at] = np.arange(none)
+    for d, offset in enumerate((1, wide, -1, -wide)):
+        leads = grounds.step[:none, d] != none
+        if (place[at + offset][leads] != grounds.step[:none, d][leads]).any():
+            raise ValueError("steps between adjacent cells were expected")
+        ways[at] |= leads.astype(np.uint8) << d
+    return Lattice(cell, place, ways, wide)
+
+
 class PlaceWork(NamedTuple):
-    """Reusable room of searches over places. best: (P+1,) g << 4 | closed << 3 | direction it came by, over `base`."""
+    """Reusable room of searches over cells. best: (C,) g << 4 | closed << 3 | direction it came by, over `base`.
+
+    queue: (4, ·) cells that wait, by f modulo 4 · ends: (2, 4) first and end of each.
+    """
 
     best: I32
     base: I64  # (1,)
-    item: I32
-    next: I32
-    head: I32
-    tail: I32
+    queue: I32
+    ends: I64
 
 
-def new_place_work(places: int) -> PlaceWork:
+def new_place_work(lattice: Lattice) -> PlaceWork:
     """Room for one floor."""
-    entries = 4 * places + 16
-    best = np.full(places + 1, 2**31 - 1, np.int32)
-    best[places] = -(2**31)  # nothing is better than the place that isn't
-    buckets = 3 * places + 16
+    cells = len(lattice.place)
     return PlaceWork(
-        best, np.full(1, (2**31 - 1) >> 4, np.int64), np.zeros(entries, np.int32), np.zeros(entries, np.int32),
-        np.full(buckets, -1, np.int32), np.full(buckets, -1, np.int32),
+        np.full(cells, 2**31 - 1, np.int32), np.full(1, (2**31 - 1) >> 4, np.int64),
+        np.zeros((4, 4 * cells + 16), np.int32), np.zeros((2, 4), np.int64),
     )  # fmt: skip
 
 
@@ -119,87 +148,103 @@ def cells_apart(rule, xy, gx, gy):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def astar_unit(
-    step: I32, xy: I32, w: PlaceWork, start: int, goal: int, rule: int, table: I32, lifo: bool, limit: int,
-    trace: Trace, out: I64,
+    lattice: Lattice, w: PlaceWork, start: int, goal: int, rule: int, table: I32, lifo: bool, limit: int, trace: Trace,
+    out: I64,
 ) -> int:  # fmt: skip
-    """Fewest steps with a consistent integer heuristic. out: steps, expansions, rows traced.
+    """Fewest steps with a heuristic that changes by at most one a step. out: steps, expansions, rows traced.
 
-    Buckets by f, each a list: taken from its front, joined at its front (lifo) or end (fifo).
+    f grows by at most two a step, so four lists hold all: taken from the front (fifo) or the end, joined at the end.
     """
-    places = len(step) - 1
-    best, item, following, head, tail = w.best, w.item, w.next, w.head, w.tail
-    if w.base[0] < 2 * places + 4:
-        best[:places] = 2**31 - 1
+    wide, place, ways = lattice.wide, lattice.place, lattice.ways
+    best, queue, first, end = w.best, w.queue, w.ends[0], w.ends[1]
+    if w.base[0] < 2 * len(best) + 4:
+        best[:] = 2**31 - 1
         w.base[0] = (2**31 - 1) >> 4
-    w.base[0] -= places + 2
+    w.base[0] -= len(best) + 2
     base = w.base[0]
-    gx, gy = xy[goal] & 0xFFFF, xy[goal] >> 16
-    first = np.int64(table[start]) if rule == TABLE else np.int64(cells_apart(rule, xy[start], gx, gy))
+    w.ends[:] = 0
+    item = lattice.cell[start]
+    target = lattice.cell[goal]
+    gx, gy = target & 0xFFFF, target >> 16
+    f = np.int64(table[start]) if rule == TABLE else np.int64(cells_apart(rule, item, gx, gy))
     out[0], out[1], out[2] = -1, 0, 0
-    if rule == TABLE and first < 0:
+    if rule == TABLE and f < 0:
         return NO_PATH
-    f, highest, n, expanded, traced = first, first, 1, 0, 0
-    best[start] = base << 4
-    item[0], following[0] = start, -1
-    head[f] = tail[f] = 0
+    expanded, traced, empty = 0, 0, 0
+    best[(item >> 16) * wide + (item & 0xFFFF)] = base << 4
+    queue[f & 3, 0] = item
+    end[f & 3] = 1
     status = NO_PATH
-    waiting = 1
-    while f <= highest:
-        entry = head[f]
-        if entry < 0:
+    while empty < 4:
+        k = f & 3
+        if first[k] == end[k]:
+            first[k] = end[k] = 0
             f += 1
+            empty += 1
             continue
-        head[f] = following[entry]
-        waiting -= 1
-        p = item[entry]
-        mark = best[p]
+        empty = 0
+        if lifo:
+            end[k] -= 1
+            item = queue[k, end[k]]
+        else:
+            item = queue[k, first[k]]
+            first[k] += 1
+        at = (item >> 16) * wide + (item & 0xFFFF)
+        mark = best[at]
         if mark & 8:
             continue
-        best[p] = mark | 8
+        best[at] = mark | 8
         g = (mark >> 4) - base
-        if p == goal:
+        if item == target:
             out[0] = g
             status = SOLVED
-        elif expanded >= limit:
+            break
+        if expanded >= limit:
             status = BUDGET
-        if status != NO_PATH:
-            head[f] = -1
             break
         if expanded < len(trace.node):
-            trace.node[expanded], trace.g[expanded], trace.f[expanded] = p, g, f
-            trace.h[expanded], trace.open[expanded] = f - g, waiting
-            trace.parent[expanded] = -1
-            if p != start:
-                trace.parent[expanded] = step[p, came_from(mark & 7, step.shape[1])]
+            trace.node[expanded], trace.g[expanded], trace.f[expanded] = place[at], g, f
+            trace.h[expanded], trace.open[expanded] = f - g, (end - first).sum()
+            trace.parent[expanded] = -1 if g == 0 else place[at - offset(mark & 7, wide)]
             traced += 1
         expanded += 1
         ahead = np.int32((base + g + 1) << 4)
-        for d in range(step.shape[1]):
-            v = step[p, d]
-            if (ahead | 15) < best[v]:
-                best[v] = ahead | d
-                h = np.int64(table[v]) if rule == TABLE else np.int64(cells_apart(rule, xy[v], gx, gy))
+        open_ways = ways[at]
+        for d in range(4):
+            to = at + offset(d, wide)
+            if (ahead | 15) < best[to] and (open_ways >> d) & 1:
+                best[to] = ahead | d
+                cell = item + offset(d, 1 << 16)
+                h = np.int64(table[place[to]]) if rule == TABLE else np.int64(cells_apart(rule, cell, gx, gy))
                 if h < 0:
                     continue
-                f2 = g + 1 + h
-                item[n] = v
-                if head[f2] < 0:
-                    head[f2] = tail[f2] = n
-                    following[n] = -1
-                    highest = max(highest, f2)
-                elif lifo:
-                    following[n] = head[f2]
-                    head[f2] = n
-                else:
-                    following[tail[f2]] = n
-                    tail[f2] = n
-                    following[n] = -1
-                n += 1
-                waiting += 1
-    for i in range(first, highest + 1):
-        head[i] = -1
+                k2 = (g + 1 + h) & 3
+                queue[k2, end[k2]] = cell
+                end[k2] += 1
     out[1], out[2] = expanded, traced
     return status
+
+
+@njit(cache=True, nogil=True, inline="always")
+def offset(d, wide):  # type: ignore[no-untyped-def]
+    """From a cell to the next one east, north, west or south."""
+    if d == 0:
+        return 1
+    if d == 1:
+        return wide
+    if d == 2:
+        return -1
+    return -wide
+
+
+@njit(cache=True, nogil=True)
+def trail(lattice: Lattice, best: I32, goal: int, places: I32) -> None:
+    """Write the places from start to goal that the last `astar_unit` found."""
+    cell = lattice.cell[goal]
+    at = (cell >> 16) * lattice.wide + (cell & 0xFFFF)
+    for i in range(len(places) - 1, -1, -1):
+        places[i] = lattice.place[at]
+        at -= offset(best[at] & 7, lattice.wide)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -209,20 +254,20 @@ def came_from(d, heads):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def way_back(step: I32, best: I32, start: int, goal: int, places: I32) -> int:
-    """Write the places from start to goal that the last search of either kind found; returns their number.
+def way_back(back: I32, best: I32, start: int, goal: int, places: I32) -> int:
+    """Write the places from start to goal that `astar_any` found; returns their number.
 
-    step: where a step in each direction comes from, turned round.
+    back: (P+1, D) where a step in the opposite direction comes from.
     """
-    heads = step.shape[1]
+    heads = back.shape[1]
     n, at = 1, goal
     while at != start:
-        at = step[at, came_from(best[at] & 7, heads)]
+        at = back[at, came_from(best[at] & 7, heads)]
         n += 1
     i, at = n - 1, goal
     places[i] = goal
     while at != start:
-        at = step[at, came_from(best[at] & 7, heads)]
+        at = back[at, came_from(best[at] & 7, heads)]
         i -= 1
         places[i] = at
     return n
@@ -245,12 +290,13 @@ def length_apart(rule, xy, gx, gy, cell, diagonal):  # type: ignore[no-untyped-d
 
 @njit(cache=True, nogil=True)
 def astar_any(
-    step: I32, xy: I32, length: I64, best: I32, start: int, goal: int, rule: int, table: I64, tie: int, seed: int,
-    limit: int, trace: Trace, out: I64,
+    step: I32, back: I32, xy: I32, length: I64, best: I32, start: int, goal: int, rule: int, table: I64, tie: int,
+    seed: int, limit: int, trace: Trace, out: I64,
 ) -> int:  # fmt: skip
     """Shortest way in mm with any heuristic and tie rule, by a heap of (f, tie). out: mm, expansions, rows traced.
 
-    Closed places are opened again when a shorter way to them appears. best: (P+1,) direction by which each was reached.
+    Closed places are opened again when a shorter way to them appears. best: (P+1,) direction by which each was reached
+    · back: (P+1, D) where a step in the opposite direction comes from.
     """
     places, heads = len(step) - 1, step.shape[1]
     cell, diagonal = length[0], length[heads // 4 // 2] if heads == 8 else length[0] * 1414 // 1000
@@ -287,7 +333,7 @@ def astar_any(
         if expanded < len(trace.node):
             trace.node[expanded], trace.g[expanded], trace.f[expanded] = p, gp, f
             trace.h[expanded], trace.open[expanded] = f - gp, size
-            trace.parent[expanded] = -1 if p == start else step[p, came_from(best[p], heads)]
+            trace.parent[expanded] = -1 if p == start else back[p, came_from(best[p], heads)]
             traced += 1
         expanded += 1
         for d in range(heads):
@@ -407,17 +453,16 @@ class Closed(NamedTuple):
 
 
 class StateWork(NamedTuple):
-    """Reusable room of energy searches. best: (S,) g over `base` · came: (S,) edge (-1 start, -2 - s: stood in s).
+    """Reusable room of energy searches. best: (S,) (g over `base`) << 1 | closed · came: (S,) edge (-1 start, -2 - s:
+    stood in s).
 
-    Entries of the open list are chained by equal f; `slot` finds the chain of an f by hashing.
+    item: (N,) state << 32 | 1 + next entry of equal f; `slot` finds the chain of an f by hashing.
     """
 
     best: I64
     base: I64  # (1,)
     came: I32
-    item: I32
-    item_g: I64
-    next: I32
+    item: I64
     slot: I32
     key: I64
     head: I32
@@ -433,9 +478,8 @@ def new_state_work(states: int, entries: int, keys: int = 1 << 12) -> StateWork:
         return np.full(n, -1, np.int32)
 
     return StateWork(
-        np.full(states, FAR, np.int64), np.full(1, FAR, np.int64), i32(states), i32(entries),
-        np.zeros(entries, np.int64), i32(entries), i32(keys), np.zeros(keys, np.int64), i32(keys), i32(keys),
-        np.zeros(2 * keys, np.int64), i32(2 * keys),
+        np.full(states, FAR, np.int64), np.full(1, FAR >> 1, np.int64), i32(states), np.zeros(entries, np.int64),
+        i32(keys), np.zeros(keys, np.int64), i32(keys), i32(keys), np.zeros(2 * keys, np.int64), i32(2 * keys),
     )  # fmt: skip
 
 
@@ -511,10 +555,10 @@ def eea(
     w.base[0] -= SPAN
     if w.base[0] < SPAN:
         w.best[:] = FAR
-        w.base[0] = FAR - SPAN
+        w.base[0] = (FAR >> 1) - SPAN
     base = w.base[0]
     w.slot[:] = -1
-    best, came, item, item_g, following = w.best, w.came, w.item, w.item_g, w.next
+    best, came, item = w.best, w.came, w.item
     use_table = len(table) > 0
     tracing = len(trace.node) > 0
     shift = net.shift
@@ -524,15 +568,15 @@ def eea(
     for i in range(len(starts)):
         s = starts[i]
         h = table[s] if use_table else closed_form(closed, net.xy[s >> shift], s >> 1, s & 1, gx, gy)
-        if h >= FAR or best[s] <= base:
+        if h >= FAR or best[s] <= base << 1:
             continue
-        best[s], came[s] = base, -1
+        best[s], came[s] = base << 1, -1
         b, used, size = _bucket(w, h, used, size)
-        item[n], item_g[n], following[n] = s, base, -1
+        item[n] = np.int64(s) << 32
         if w.head[b] == -1:
             w.head[b] = n
         else:
-            following[w.tail[b]] = n
+            item[w.tail[b]] |= n + 1
         w.tail[b] = n
         n += 1
         waiting += 1
@@ -545,12 +589,14 @@ def eea(
         if size == 0:
             break
         f, b = w.heap_f[0], w.heap_b[0]
-        entry = w.head[b]
-        s, gs = item[entry], item_g[entry]
-        w.head[b] = following[entry]
+        entry = item[w.head[b]]
+        s = entry >> 32
+        w.head[b] = (entry & 0xFFFFFFFF) - 1
         waiting -= 1
-        if gs != best[s]:
+        if best[s] & 1:
             continue
+        best[s] |= 1
+        gs = best[s] >> 1
         if s >> shift == goal:
             out[0], out[1] = s, gs - base
             status = SOLVED
@@ -585,9 +631,9 @@ def eea(
                 by = -2 - s
             if rewalk:
                 g2 += walked(net, came, cost, standby, s) + base - gs
-            if g2 >= best[v] or blocked[v >> shift]:
+            if (g2 << 1 | 1) >= best[v] or blocked[v >> shift]:
                 continue
-            best[v] = g2
+            best[v] = g2 << 1
             came[v] = by
             if use_table:
                 h = table[v]
@@ -600,14 +646,14 @@ def eea(
                 b2 = b
             else:
                 b2, used, size = _bucket(w, f2, used, size)
-            item[n], item_g[n], following[n] = v, g2, -1
+            item[n] = np.int64(v) << 32
             if w.head[b2] == -1:
                 w.head[b2] = w.tail[b2] = n
             elif lifo:
-                following[n] = w.head[b2]
+                item[n] |= w.head[b2] + 1
                 w.head[b2] = n
             else:
-                following[w.tail[b2]] = n
+                item[w.tail[b2]] |= n + 1
                 w.tail[b2] = n
             n += 1
             waiting += 1

@@ -64,6 +64,25 @@ def new_work(nodes: int, labels: int) -> Work:
 
 
 @lean
+def a_goal_is_taken(c: Claims, goals: I32, tick: int) -> bool:
+    """True when somebody comes to stay in the last goal with no end known, or stays so in another one by a tick."""
+    for i in range(len(goals)):
+        slot = goals[i]
+        while c.next[slot] >= 0:
+            slot = c.next[slot]
+        if c.end[slot] >= FOREVER and (i == len(goals) - 1 or c.start[slot] <= tick):
+            return True
+    return False
+
+
+@lean
+def label_key(g: Ground, gap: int, leg: int, n_legs: int, s: int) -> int:
+    """Where the label of a free interval, a leg and a state is kept: the states of a place side by side."""
+    first = g.place_ptr[g.state_place[s]]
+    return (gap * n_legs + leg) * (g.place_ptr[1] - g.place_ptr[0]) + s - first
+
+
+@lean
 def weighted(h: int, eighths: int) -> int:
     """A cost to go times a weight."""
     return h if eighths == 8 else h // 8 * eighths
@@ -80,7 +99,6 @@ def search_time(
     eighths: weight of the cost to go in eighths; above 8 the plan is found sooner, and takes at most so much longer.
     """
     n_legs = len(goals)
-    per_place = g.place_ptr[1] - g.place_ptr[0]
     w.stamp[0] += 1
     stamp = w.stamp[0]
     rest = w.rest
@@ -99,7 +117,7 @@ def search_time(
     w.state[0], w.gap[0], w.leg[0], w.tick[0], w.energy[0] = start, start_gap, 0, t0, 0
     w.parent[0], w.edge[0], w.depart[0] = -1, -1, t0
     size = push(w.keys, w.items, size, weighted(first + rest[0], eighths), 0)
-    key = (start_gap * per_place + start - g.place_ptr[g.state_place[start]]) * n_legs
+    key = label_key(g, start_gap, 0, n_legs, start)
     w.best[key], w.seen[key] = 0, stamp
     while size > 0:
         node = w.items[0]
@@ -109,7 +127,7 @@ def search_time(
             out[0], out[1] = node, expanded
             return SOLVED
         u = g.state_place[s]
-        key = (gap * per_place + s - g.place_ptr[u]) * n_legs + leg
+        key = label_key(g, gap, leg, n_legs, s)
         if ((np.int64(t) - t0) << TICK) + mj > w.best[key]:
             continue
         expanded += 1
@@ -128,7 +146,7 @@ def search_time(
                 value = ((np.int64(t2) - t0) << TICK) + spent
                 fresh = True
                 if not last:
-                    key = (gap * per_place + s2 - g.place_ptr[u]) * n_legs + leg + 1
+                    key = label_key(g, gap, leg + 1, n_legs, s2)
                     fresh = w.seen[key] != stamp or value < w.best[key]
                     if fresh:
                         w.best[key], w.seen[key] = value, stamp
@@ -148,7 +166,7 @@ def search_time(
                 spent = mj + kind_mj[leg, g.edge_kind[e0]] + np.int64(ticks) * standby
                 h = pool[slots[leg], s2 >> shift]
                 value = ((np.int64(t2) - t0) << TICK) + spent
-                key = (gap * per_place + s2 - g.place_ptr[u]) * n_legs + leg
+                key = label_key(g, gap, leg, n_legs, s2)
                 if h < FAR and (w.seen[key] != stamp or value < w.best[key]):
                     w.best[key], w.seen[key] = value, stamp
                     w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, gap, leg, t2, spent
@@ -172,7 +190,7 @@ def search_time(
                     spent = mj + kind_mj[leg, kind] + np.int64(t2 - t) * standby
                     h = pool[slots[leg], s2 >> shift]
                     value = ((np.int64(t2) - t0) << TICK) + spent
-                    key = (into * per_place + s2 - g.place_ptr[v]) * n_legs + leg
+                    key = label_key(g, into, leg, n_legs, s2)
                     if h < FAR and (w.seen[key] != stamp or value < w.best[key]):
                         if n + 4 >= len(w.state) or size + 4 >= len(w.keys):
                             return FULL
@@ -233,7 +251,6 @@ def search_energy(
     Its node keeps the tick at which it came to stand; the heap item's tick is tick[node] + waited.
     """
     n_legs = len(goals)
-    per_place = g.place_ptr[1] - g.place_ptr[0]
     w.stamp[0] += 1
     stamp = w.stamp[0]
     rest = w.rest
@@ -253,7 +270,7 @@ def search_energy(
     w.state[0], w.gap[0], w.leg[0], w.tick[0], w.energy[0] = start, start_gap, 0, t0, 0
     w.parent[0], w.edge[0], w.depart[0] = -1, -1, t0
     size = push(w.keys, w.items, size, pool[slots[0], start] + rest[0], 0)
-    add_label(w, 0, (start_gap * per_place + start - g.place_ptr[g.state_place[start]]) * n_legs, stamp)
+    add_label(w, 0, label_key(g, start_gap, 0, n_legs, start), stamp)
     while size > 0:
         node = w.items[0]
         f = w.keys[0]
@@ -277,7 +294,7 @@ def search_energy(
             if (last and until >= FOREVER) or (not last and t2 + margin < until):
                 s2 = s if stays[leg] == 0 else s & ~1
                 spent = mj + np.int64(stays[leg]) * standby
-                key = (gap * per_place + s2 - g.place_ptr[u]) * n_legs + leg + 1
+                key = label_key(g, gap, leg + 1, n_legs, s2)
                 if last or not dominated(w, key, stamp, t2, spent, s2 & 1 == 1, standby, restart, calm):
                     h = np.int64(0) if last else pool[slots[leg + 1], s2] + rest[leg + 1]
                     w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, gap, leg + 1, t2, spent
@@ -308,7 +325,7 @@ def search_energy(
             h = pool[slots[leg], s2]
             if h >= FAR:
                 continue
-            key = (into * per_place + s2 - g.place_ptr[v]) * n_legs + leg
+            key = label_key(g, into, leg, n_legs, s2)
             if dominated(w, key, stamp, t2, spent, s2 & 1 == 1, standby, restart, calm):
                 continue
             w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, into, leg, t2, spent
@@ -325,7 +342,7 @@ def search_energy(
                 # it comes to stand: a label of its own, one tick on
                 s2 = s & ~1
                 spent = mj + standby
-                key = (gap * per_place + s2 - g.place_ptr[u]) * n_legs + leg
+                key = label_key(g, gap, leg, n_legs, s2)
                 if not dominated(w, key, stamp, t + 1, spent, False, standby, restart, calm):
                     w.state[n], w.gap[n], w.leg[n], w.tick[n], w.energy[n] = s2, gap, leg, t + 1, spent
                     w.parent[n], w.edge[n], w.depart[n] = node, -1, t

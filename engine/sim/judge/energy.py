@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from itertools import islice
 
 import numpy as np
 
 from engine.scenario import Scenario
+from engine.sim.judge.batteries import Known, battery_of
 from engine.sim.judge.breach import REPORTED, Breach, BreachKind
 from engine.sim.judge.record import I64, Record, RunLog
 from engine.types import COMPONENTS, Activity, Component
@@ -37,7 +39,7 @@ def energy(r: Record, log: RunLog, scenario: Scenario, graph: MotionGraph) -> It
     if cost is not None:
         yield from _ledgers(r, samples, cost, scenario, graph)
     yield from _charging(r, samples, scenario)
-    yield from batteries(samples, log, scenario)
+    yield from batteries(r, samples, log, scenario)
 
 
 def costs(scenario: Scenario, graph: MotionGraph) -> I64 | None:
@@ -243,6 +245,9 @@ def _charging(r: Record, s: Samples, scenario: Scenario) -> Iterator[Breach]:
     lost = np.diff(s.ledger[:, Component.CHARGER_LOSS], prepend=0)
     during = np.diff(charging, prepend=0)
     judged = s.follows & (np.concatenate([[0], s.tick[:-1]]) >= r.first_tick)
+    battery = battery_of(scenario)
+    if battery is not None:
+        yield from islice(_accepted(s, np.where(judged, during, 0), scenario, battery), REPORTED)
     # a rate in percent says what reaches the battery, and nothing of losses
     share = 0.0 if scenario.charger.rate_percent_per_s is not None else 1 - scenario.charger.efficiency
     most = max_charge_mj(scenario)
@@ -263,37 +268,74 @@ def max_charge_mj(scenario: Scenario) -> int:
     return math.ceil(power_w * tick_s * 1000)
 
 
-def batteries(s: Samples, log: RunLog, scenario: Scenario) -> Iterator[Breach]:
-    """Charge falls by what the ledger's components sum to, and stays between empty and full.
+def _accepted(s: Samples, during: I64, scenario: Scenario, battery: Known) -> Iterator[Breach]:
+    """What reaches the battery while charging is no more than it takes at the charges that it had."""
+    if battery.accept_w is None:
+        return
+    grown = np.diff(s.ledger, axis=0, prepend=0)
+    taken = -grown[:, Component.CHARGED] - grown[:, Component.CHARGER_LOSS]
+    drawn = np.delete(grown, _CHARGING, axis=1).sum(1)
+    # it may have driven before it charged: no lower than this
+    before = np.concatenate([[0], s.charge[:-1]])
+    low = battery.step(np.minimum(before, s.charge) - drawn * 1000 // battery.millivolt.min())
+    high = battery.step(np.maximum(before, s.charge))
+    for i in np.nonzero(s.follows & (during > 0))[0].tolist():
+        most = battery.accept_w[low[i] : high[i] + 1].max() * scenario.time.tick_s * 1000
+        if taken[i] - drawn[i] > during[i] * most + 1:
+            v, t = int(s.vehicle[i]), int(s.tick[i])
+            text = (
+                f"the battery of vehicle {v} takes {int(taken[i])} mJ up to tick {t} in {int(during[i])} ticks of "
+                f"charging; at its charge it accepts {int(during[i] * most)} mJ beside the {int(drawn[i])} mJ in use"
+            )
+            yield Breach(BreachKind.BATTERY, t, (v,), -1, text)
+
+
+def batteries(r: Record, s: Samples, log: RunLog, scenario: Scenario) -> Iterator[Breach]:
+    """Charge falls by what the ledger's components sum to at the battery's voltage, between empty and full.
 
     The only other way to change it is to change the battery, which is an event.
     """
-    battery = scenario.battery
-    if battery.model not in ("linear", "coulomb"):
+    battery = battery_of(scenario)
+    if battery is None:
         return
-    exact = battery.model == "linear"
-    volt = 1000 if exact else round(battery.voltage_v * 1000)
-    capacity = round(battery.capacity_wh * 3600 * 1_000_000 / volt)
-    for i in np.nonzero((s.charge < 0) | (s.charge > capacity))[0][:REPORTED].tolist():
+    for i in np.nonzero((s.charge < 0) | (s.charge > battery.capacity_mc))[0][:REPORTED].tolist():
         v, t = int(s.vehicle[i]), int(s.tick[i])
-        text = f"the charge of vehicle {v} at tick {t} is {s.charge[i] / capacity:.2%} of its capacity"
+        text = f"the charge of vehicle {v} at tick {t} is {s.charge[i] / battery.capacity_mc:.2%} of its capacity"
         yield Breach(BreachKind.SOC, t, (v,), -1, text)
-    start = np.maximum.accumulate(np.where(~s.follows, np.arange(len(s.tick)), 0))
-    total = s.ledger.sum(1)
-    expected = s.charge[start] - (total - total[start]) * 1000 // volt
-    off = s.charge - expected
-    jump = np.where(s.follows, np.diff(off, prepend=0), 0)
+    volt = battery.millivolt[battery.step(s.charge)]
+    conserved_uj = battery.content_uj(s.charge) + s.ledger.sum(1) * 1000
+    jump = np.where(s.follows, np.diff(conserved_uj, prepend=0), 0) / volt
     for vehicle, tick in _battery_changes(log):
         # a command given at a tick acts after that tick's sample
         at = int(np.searchsorted((s.vehicle << 32) + s.tick, (vehicle << 32) + tick, side="right"))
         jump[at : at + 1] = 0
-    wrong = (np.abs(jump) > (0 if exact else 1)) | (s.voltage != volt)
+    wrong = (np.abs(jump) > _slack_mc(r, s, battery, scenario)) | (
+        np.abs(s.voltage - volt) > (battery.accept_w is not None)
+    )
     for i in np.nonzero(wrong)[0][:REPORTED].tolist():
         v, t = int(s.vehicle[i]), int(s.tick[i])
         text = f"the charge of vehicle {v} at tick {t} is {int(jump[i])} mC off what its ledger says"
-        if s.voltage[i] != volt:
-            text = f"the voltage of vehicle {v} at tick {t} is {int(s.voltage[i])} mV; {volt} are right"
+        if s.voltage[i] != volt[i]:
+            text = f"the voltage of vehicle {v} at tick {t} is {int(s.voltage[i])} mV; {int(volt[i])} are right"
         yield Breach(BreachKind.BATTERY, t, (v,), -1, text)
+
+
+def _slack_mc(r: Record, s: Samples, battery: Known, scenario: Scenario) -> I64:
+    """How far charge and ledger may be apart.
+
+    Less than one mC is carried over, but for mC that are mJ. Where the voltage falls with the charge, a tick has that
+    of its beginning: at most the peak of a tick times the change between two samples. Rounding may be off by one mV.
+    """
+    volt = battery.millivolt[battery.step(s.charge)]
+    if battery.accept_w is None:
+        return np.where(volt == 1000, 0, 1)
+    tick_mj = scenario.time.tick_s * 1000
+    peak = (r.energy_mj / np.maximum(r.t1 - r.t0, 1)).max(initial=0) + battery.accept_w.max() * tick_mj
+    moved = np.abs(np.diff(s.ledger, axis=0, prepend=0)).sum(1) * 1000 // volt
+    before = np.concatenate([s.charge[:1], s.charge[:-1]])
+    low, high = np.minimum(before, s.charge) - moved, np.maximum(before, s.charge) + moved
+    change = battery.millivolt[battery.step(high)] - battery.millivolt[battery.step(low)]
+    return np.asarray(2 + (peak * 1000 / volt * change + moved) // volt, np.int64)
 
 
 def _battery_changes(log: RunLog) -> list[tuple[int, int]]:

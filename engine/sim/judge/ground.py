@@ -211,7 +211,7 @@ def _energy(r: Record, ks: list[int], log: RunLog, scenario: Scenario, world: Te
     samples = Samples(log)
     if not len(samples.tick):
         return
-    yield from batteries(samples, log, scenario)
+    yield from batteries(r, samples, log, scenario)
     if r.first_tick > 0:
         return  # what retention dropped is not there to be added up
     standby = round(scenario.energy.parameters.get("standby_w", _DEFAULTS["standby_w"]) * scenario.time.tick_s * 1000)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from engine.scenario import Scenario
+from engine.sim.judge.batteries import battery_of
 from engine.sim.judge.breach import REPORTED, Breach, BreachKind
 from engine.sim.judge.motion import name
 from engine.sim.judge.record import I64, Record, RunLog, spans
@@ -38,27 +39,18 @@ def levels(r: Record, log: RunLog, given: Given, scenario: Scenario, world: Worl
     """Every breach of charge levels that an operator set, and every `charge` command without its effect."""
     yield from islice(_told_to_charge(r, log, given), REPORTED)
     changes = [(tick, c) for tick, c in given if c["do"] == "thresholds"]
-    capacity = capacity_mc(scenario)
+    battery = battery_of(scenario)
     b = log.table("battery")
-    if not changes or capacity is None or r.n == 0 or len(b["tick"]) == 0:
+    if not changes or battery is None or r.n == 0 or len(b["tick"]) == 0:
         return
     tick = np.asarray(b["tick"], np.int64)
     keep = tick > changes[0][0]
     vehicle, tick = np.asarray(b["vehicle"], np.int64)[keep], tick[keep]
-    soc = np.asarray(b["charge_mc"], np.int64)[keep] / capacity
+    soc = np.asarray(b["charge_mc"], np.int64)[keep] / battery.capacity_mc
     force = _InForce(scenario, changes)
     yield from islice(_at_chargers(r, (vehicle, tick, soc), force, given, world), REPORTED)
-    if scenario.battery.exchange == "none":  # else an order is the way to a full battery
+    if scenario.battery.exchange != "swap":  # else an order is the way to a full battery
         yield from islice(_orders_when_low(r, log, (vehicle, tick, soc), force), REPORTED)
-
-
-def capacity_mc(scenario: Scenario) -> int | None:
-    """Full charge; None for a battery model that the judge does not know."""
-    battery = scenario.battery
-    if battery.model not in ("linear", "coulomb"):
-        return None
-    millivolt = 1000 if battery.model == "linear" else round(battery.voltage_v * 1000)
-    return round(battery.capacity_wh * 3600 * 1_000_000 / millivolt)
 
 
 class _InForce:

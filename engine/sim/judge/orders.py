@@ -30,6 +30,7 @@ _WORD = {s.value: s.name.lower() for s in O}
 def orders(r: Record, log: RunLog, scenario: Scenario, world: World) -> Iterator[Breach]:
     """Every breach in the life of every order."""
     yield from islice(_lives(log), REPORTED)
+    yield from islice(_ways(log, scenario, world), REPORTED)
     yield from islice(_services(r, log, scenario, world), REPORTED)
     yield from islice(_loads(r, log, world), REPORTED)
 
@@ -55,6 +56,31 @@ def _lives(log: RunLog) -> Iterator[Breach]:
             text = f"order {order} is {_WORD[new]} by vehicle {vehicle} and assigned to vehicle {owner[order]}"
             yield Breach(BreachKind.ORDER, tick, (vehicle, owner[order]), -1, text)
         state[order], last[order] = new, tick
+
+
+def _ways(log: RunLog, scenario: Scenario, world: World) -> Iterator[Breach]:
+    """An order keeps its stations; where exits are chosen, it may get another outbound one when it is assigned. And
+    with regions, a vehicle takes orders of its own."""
+    t = log.table("orders")
+    chosen = scenario.dispatch.exits == "any outbound"
+    regions, width = scenario.dispatch.regions, world.size_m[0]
+    outbound = {s.number for s in world.stations_of("outbound")}
+    ways: dict[int, tuple[int, int]] = {}
+    columns = (t[c].tolist() for c in ("tick", "order", "state", "vehicle", "from_station", "to_station", "from_place"))
+    for tick, order, state, vehicle, start, end, place in zip(*columns, strict=True):
+        before = ways.setdefault(order, (start, end))
+        ways[order] = (start, end)
+        free = chosen and state == O.ASSIGNED and {before[1], end} <= outbound
+        if before[0] != start or (before[1] != end and not free):
+            text = (
+                f"order {order} goes from {start} to {end} at tick {tick}, and before from {before[0]} to {before[1]}"
+            )
+            yield Breach(BreachKind.ORDER, tick, (), place, text)
+        if regions and state == O.ASSIGNED:
+            own = min(int(float(world.graph.xy_m[place, 0]) / width * regions), regions - 1)
+            if own != vehicle % regions:
+                text = f"vehicle {vehicle} of region {vehicle % regions} takes order {order} of region {own}"
+                yield Breach(BreachKind.ORDER, tick, (vehicle,), place, text)
 
 
 def _services(r: Record, log: RunLog, scenario: Scenario, world: World) -> Iterator[Breach]:
