@@ -55,6 +55,7 @@ def measure(*, quick: bool = False, say: Say = print) -> dict[str, Any]:
     """Everything, in order: {"machine": …, "results": [Measured as objects]}."""
     first = use_kernel_cache()
     from app import runner
+    from app.bench_terrain import terrain
 
     if first:
         say("Compiling kernels, once: this takes up to a minute …")
@@ -69,6 +70,8 @@ def measure(*, quick: bool = False, say: Say = print) -> dict[str, Any]:
         results += replay(folder)
         say("The large warehouse …")
         results += large(folder, seconds=120 if quick else 900)
+        say("Terrain …")
+        results += terrain(Measured, goal_at_most, quick=quick)
         say("Frames …")
         results += frames()
         say("Starts …")

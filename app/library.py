@@ -443,7 +443,7 @@ def planners_of(scenario: Scenario) -> dict[str, list[str]]:
         plan = scenario.planner.model_copy(update={"name": name, "objective": objective})
         return fitted(scenario.model_copy(update={"planner": plan})).planner.objective == objective
 
-    return {name: [o for o in ("time", "energy") if served(name, o)] for name in planners_for(scenario)}
+    return {name: [o for o in ("time", "energy", "distance") if served(name, o)] for name in planners_for(scenario)}
 
 
 def is_instance(scenario: Scenario) -> bool:

@@ -180,10 +180,10 @@ def check_names(scenario: Scenario) -> None:
     from engine import build
 
     parts = (
-        ("planner", scenario.planner.name, {**build.PLANNERS, **build.SOLVERS}),
+        ("planner", scenario.planner.name, {**build.PLANNERS, **build.SOLVERS, **build.ROAMING}),
         ("dispatcher", scenario.dispatch.policy, build.DISPATCHERS),
         ("charging policy", scenario.charging.policy, build.CHARGING),
-        ("demand model", scenario.energy.demand, build.DEMAND),
+        ("demand model", scenario.energy.demand, {**build.DEMAND, **build.DRIVES}),
         ("battery model", scenario.battery.model, build.BATTERIES),
     )
     for what, name, registry in parts:
@@ -565,6 +565,9 @@ def warm_up(scenario: Scenario) -> None:
     sim.advance(WARM_UP_TICKS)
     sim.snapshot()
     sim.flush()
+    if scenario.floor.kind == "terrain":
+        kernels_compiled()
+        return
     # What a plan that isn't found needs: no short run is sure to meet one.
     claims, steps, fleet = sim.claims, sim.steps, sim.fleet
     at = (0, int(fleet.here[0]), int(fleet.step[0]), int(fleet.steps[0]))

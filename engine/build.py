@@ -59,6 +59,12 @@ DEMAND: dict[str, str] = {
     "lian2024": "engine.energy.lian2024:lian2024",
     "lian2024-paper": "engine.energy.lian2024:lian2024_paper",
 }
+DRIVES: dict[str, str] = {"skid-steer": "climb", "skid-steer-power": "power"}
+"""Demand models of robots on terrain: name → form of the cost."""
+ROAMING: dict[str, str] = {
+    "adstar": "engine.planners.adstar:AdStar",
+}
+"""Planners of a robot on terrain, which plan while it drives."""
 BATTERIES: dict[str, str] = battery.BATTERIES
 
 
@@ -74,6 +80,8 @@ def demand_model(name: str, scenario: Scenario) -> Any:
     """A demand model with the scenario's parameters. Raises ScenarioError."""
     from engine.energy import parameters_over
 
+    if name in DRIVES:
+        raise ScenarioError(f"energy.demand: {name!r} is a robot on terrain, and has no costs on a flat floor")
     cls = find(DEMAND, "demand model", name)
     given = scenario.energy.parameters if name == scenario.energy.demand else {}
     if name == "constant":
@@ -147,6 +155,8 @@ def _configured(cls: Any, scenario: Scenario, own: bool) -> Any:
 
 def planners_for(scenario: Scenario) -> list[str]:
     """Names of the planners that serve a scenario: its floor, its motions, and where its vehicles' tasks come from."""
+    if scenario.floor.kind == "terrain":
+        return list(ROAMING)
     names = [name for name in PLANNERS if _fits(PLANNERS, name, scenario)]
     if scenario.orders.source == "goals":
         names += [name for name in SOLVERS if name not in names and _fits(SOLVERS, name, scenario)]
@@ -160,6 +170,8 @@ def fitted(scenario: Scenario) -> Scenario:
     """
     name = scenario.planner.name
     goals = scenario.orders.source == "goals"
+    if scenario.floor.kind == "terrain" or name in ROAMING:
+        return _fitted_roaming(scenario)
     if name not in PLANNERS and name not in SOLVERS:
         raise ScenarioError(unknown_name("planner", name, {**PLANNERS, **SOLVERS}))
     registry = SOLVERS if name not in PLANNERS or (goals and _fits(SOLVERS, name, scenario)) else PLANNERS
@@ -171,6 +183,26 @@ def fitted(scenario: Scenario) -> Scenario:
         known = f"expected {' or '.join(map(repr, others))}" if others else "no planner serves this scenario"
         raise ScenarioError(f"planner.name: {name!r} {why}; {known}")
     objectives = find(registry, "planner", name).promise.objectives
+    if scenario.planner.objective in objectives:
+        return scenario
+    return scenario.model_copy(
+        update={"planner": scenario.planner.model_copy(update={"objective": objectives[0]})}
+    )  # fmt: skip
+
+
+def _fitted_roaming(scenario: Scenario) -> Scenario:
+    name = scenario.planner.name
+    if scenario.floor.kind != "terrain":
+        others = " or ".join(map(repr, planners_for(scenario)))
+        raise ScenarioError(
+            f"planner.name: {name!r} needs terrain, and floor.kind is {scenario.floor.kind!r}; expected {others}"
+        )
+    if name not in ROAMING:
+        known = {**PLANNERS, **SOLVERS}
+        wanted = " or ".join(map(repr, ROAMING))
+        why = "plans on floors, and floor.kind is 'terrain'" if name in known else "is unknown"
+        raise ScenarioError(f"planner.name: {name!r} {why}; expected {wanted}")
+    objectives = find(ROAMING, "planner", name).promise.objectives
     if scenario.planner.objective in objectives:
         return scenario
     return scenario.model_copy(
@@ -212,8 +244,6 @@ def build(
     clock_ns: Callable[[], int] = lambda: 0,
 ) -> Any:
     """A simulation at tick 0. Raises ScenarioError when the scenario can't be built."""
-    from engine.sim.simulation import Simulation
-
     if isinstance(scenario, str):
         scenario = load(scenario)
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
@@ -221,15 +251,33 @@ def build(
         changes["planner.name"] = planner
     if changes:
         scenario = parse(scenario.to_toml(), scenario.name, changes)
-    return Simulation(parts_of(scenario), recorder, clock_ns)
+    return _simulation(parts_of(scenario), recorder, clock_ns)
+
+
+def _simulation(parts: Any, recorder: Any, clock_ns: Callable[[], int]) -> Any:
+    """The run of these parts: of vehicles on a floor, or of a robot on terrain."""
+    if parts.scenario.floor.kind == "terrain":
+        from engine.sim.roaming import Roaming
+
+        return Roaming(parts, recorder, clock_ns)
+    from engine.sim.simulation import Simulation
+
+    return Simulation(parts, recorder, clock_ns)
 
 
 def parts_of(scenario: Scenario) -> Any:
     """Everything that a simulation of a scenario is made of. One seed sequence, split per consumer."""
+    if scenario.floor.kind == "terrain":
+        return _ground_parts(fitted(scenario))
     from engine.planners.search import FloorSearch
     from engine.sim.faults import Faults
     from engine.sim.simulation import Parts
 
+    if scenario.energy.demand in DRIVES:
+        raise ScenarioError(
+            f"energy.demand: {scenario.energy.demand!r} is a robot on terrain, and floor.kind is "
+            f"{scenario.floor.kind!r}; expected {' or '.join(map(repr, DEMAND))}"
+        )
     world = build_world(scenario)
     if world.occupancy is Occupancy.MAPF and not world.graph.unit:
         longest = max(world.graph.primitives, key=lambda p: p.ticks)
@@ -276,6 +324,93 @@ def parts_of(scenario: Scenario) -> Any:
         facing=facing_of(scenario, world, costs, start, goals, cls),
         goals=np.array(goals, np.int32),
         initial_soc=np.random.default_rng(batteries).uniform(low, high, scenario.fleet.count),
+    )
+
+
+def robot_of(scenario: Scenario) -> Any:
+    """The drive of a scenario's robot. Raises ScenarioError."""
+    from engine.energy import parameters_over
+    from engine.energy.skid_steer import SkidSteer
+
+    name = scenario.energy.demand
+    if name not in DRIVES:
+        wanted = " or ".join(map(repr, DRIVES))
+        raise ScenarioError(f"energy.demand: got {name!r}, and floor.kind is 'terrain'; expected {wanted}")
+    numbers = parameters_over(parameter_sets.zhang2021(scenario.motion.speed_mps), scenario.energy.parameters, name)
+    mass_kg = scenario.fleet.each_mass_kg[0] + scenario.fleet.payload_kg
+    return SkidSteer(mass_kg=mass_kg, form=DRIVES[name], **numbers)
+
+
+def terrain_costs(world: Any, robot: Any, objective: str, *, believed: bool = False, table: bool = True) -> Any:
+    """Costs of a robot over the ground as it is, or as it is believed to be beforehand."""
+    from engine.energy.terrain_costs import TerrainCosts
+
+    ground = world.terrain
+    seen = world.known if believed else np.ones(ground.shape, np.bool_)
+    return TerrainCosts(
+        world.cluster,
+        robot,
+        ground.cell_m,
+        world.prior_m if believed else ground.height_m,
+        ground.obstacle & seen,
+        np.where(seen, ground.friction, min(1.0, float(ground.friction.min()))).astype(np.float32),
+        seen,
+        ground.slope_limit_deg,
+        world.body_m,
+        objective,
+        table,
+    )
+
+
+def terrain_search(options: Any, costs: Any, robot: Any, friction: float, start: int, goal_cell: int) -> Any:
+    """A search of AD* over costs, on ground with at least this friction factor."""
+    from engine.energy.skid_steer import least
+    from engine.energy.terrain_costs import OBJECTIVES
+    from engine.planners.adstar import Heuristic, Search
+
+    form, per_m, per_rise = ("space", 1.0, 0.0) if costs.objective == OBJECTIVES["distance"] else least(robot, friction)
+    heuristic = Heuristic(form, 1000 * per_m, 1000 * per_rise)
+    c = costs.cluster
+    return Search(
+        options, c.end, c.from_heading, c.from_k, costs.height, costs.cost, costs.cell_m, heuristic, start, goal_cell
+    )
+
+
+def _ground_parts(scenario: Scenario) -> Any:
+    """Everything that a run on terrain is made of."""
+    from engine.orders.sources import NoOrders
+    from engine.planners.base import configured
+    from engine.sim.roaming import GroundParts
+    from engine.world.terrain import build_terrain
+
+    world, robot = build_terrain(scenario.terrain_plan()), robot_of(scenario)
+    options = configured(find(ROAMING, "planner", scenario.planner.name), scenario.planner.parameters)
+    friction = min(1.0, float(world.terrain.friction.min()))
+    heading = {"east": 0, "north": 4, "west": 8, "south": 12}
+    start, (goal,) = start_places(scenario, world)[0], goal_places(scenario, world)
+    facing = scenario.fleet.heading
+    if facing == "best":
+        dx, dy = (world.graph.xy_m[goal] - world.graph.xy_m[start]).tolist()
+        facing_index = round(np.arctan2(dy, dx) / (2 * np.pi) * 16) % 16
+    else:
+        facing_index = heading[facing]
+    soc = scenario.battery.initial_soc
+    low, high = (soc, soc) if isinstance(soc, float) else soc
+    objective = scenario.planner.objective
+    return GroundParts(
+        scenario=scenario,
+        world=world,
+        seed=scenario.seed,
+        battery=battery.battery_of(**scenario.battery.asked),
+        believed=terrain_costs(world, robot, objective, believed=True),
+        truth=terrain_costs(world, robot, objective, table=False),
+        search_of=lambda costs, state, cell: terrain_search(options, costs, robot, friction, state, cell),
+        per_tick=options.per_tick,
+        standby_mj=round(robot.standby_w * scenario.time.tick_s * MJ_PER_J),
+        start=start * 16 + facing_index,
+        goal_cell=goal,
+        initial_soc=float(np.random.default_rng(scenario.seed).uniform(low, high)),
+        source=NoOrders(),
     )
 
 
@@ -341,11 +476,13 @@ def resume(folder: Path, *, recorder: Any = None, clock_ns: Callable[[], int] = 
     Raises RunError when the checkpoint is damaged or of another version of the code.
     """
     from engine.sim import checkpoint
-    from engine.sim.simulation import Simulation
 
     plain = checkpoint.read_plain(folder)
-    sim = Simulation(parts_of(parse(plain["scenario"], source=f"checkpoint {folder.name}")), None, clock_ns)
-    checkpoint.restore(sim, folder, plain)
+    sim = _simulation(parts_of(parse(plain["scenario"], source=f"checkpoint {folder.name}")), None, clock_ns)
+    if sim.scenario.floor.kind == "terrain":
+        sim.restore(folder, plain)
+    else:
+        checkpoint.restore(sim, folder, plain)
     sim.ledger.recorder = recorder
     return sim
 
@@ -374,7 +511,7 @@ def swap(
     """Go on with another planner, seed or parameters from the present tick; returns the changed scenario.
 
     Motions already committed finish first; a new planner starts from `init`, new orders come from the new seed. Raises
-    ScenarioError when a change needs a new run (floor, fleet, time, battery …).
+    ScenarioError when a change needs a new run (floor, fleet, time, battery, a planner that is executed as it is …).
     """
     changes: dict[str, Any] = dict(overrides or {})
     if planner is not None:
@@ -387,8 +524,6 @@ def swap(
         if section not in FORKABLE and getattr(new, section) != getattr(old, section):
             raise ScenarioError(f"a fork can't change {section!r}: what is on the floor already depends on it")
     parts = parts_of(new)
-    if parts.planner.promise.legal == sim.open_loop:
-        raise ScenarioError("a fork can't change between plans that are kept apart and plans executed as they are")
     parts.source.start_at(sim.tick)
     same_orders = new.orders == old.orders and new.seed == old.seed
     sim.become(parts, keep_orders=same_orders, keep_faults=new.faults == old.faults and new.seed == old.seed)

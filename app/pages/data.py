@@ -165,7 +165,7 @@ def planners() -> list[str]:
     """Names of the registered planners."""
     import engine.build
 
-    return list(engine.build.PLANNERS)
+    return [*engine.build.PLANNERS, *engine.build.ROAMING]
 
 
 def dispatchers() -> list[str]:

@@ -58,6 +58,36 @@ def lian2024(speed_mps: float = 1.0) -> dict[str, float]:
     }
 
 
+def zhang2021(speed_mps: float = 0.5) -> dict[str, float]:
+    """Zhang et al. 2021, a skid-steered robot on four wheels; its tables 1 and 2 are lost, so all of it is assumed.
+
+    A Husky-like robot of 60 kg: wheel_m, track_m, wheelbase_m; motors torque_nm_a (K_T), gear, resistance_ohm (R_e) and
+    efficiency (of motor and gear); mu, rolling off the road; mu_turn, wheels dragged sideways. track_factor: a
+    skid-steered robot turns as if its track were 1.5 to 2 times as wide. scrub_m: wheels that are dragged along a curve
+    of this radius meet 63 % of the resistance of a turn on the spot. speed_mps: the paper's [0, 0.5] m/s. standby_w:
+    computer and laser scanner. recovery 0: the paper's motors "store energy" when driven, how much it does not say.
+    printed_efficiency: 1 multiplies by the efficiency as (6) and (7) print it, 0 divides.
+    """
+    return {
+        "mu": 0.08,
+        "g": 9.81,
+        "v_mps": speed_mps,
+        "standby_w": 40.0,
+        "wheel_m": 0.165,
+        "track_m": 0.55,
+        "track_factor": 1.5,
+        "wheelbase_m": 0.51,
+        "torque_nm_a": 0.044,
+        "gear": 78.0,
+        "resistance_ohm": 0.45,
+        "efficiency": 0.8,
+        "mu_turn": 0.5,
+        "scrub_m": 1.0,
+        "recovery": 0.0,
+        "printed_efficiency": 0.0,
+    }
+
+
 def tremblay() -> dict[str, float]:
     """The lithium cell of Lian et al. 2024.
 

@@ -180,6 +180,66 @@ class Observed:
     tick_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class Route:
+    """A way over a lattice. states: (n + 1,) from the start to the goal · ks: (n,) trajectories · cost: their sum
+    · bound: it costs at most so many times the least · expanded: states since the search was made."""
+
+    status: PlanStatus
+    states: I32
+    ks: I32
+    cost: int
+    bound: float
+    expanded: int
+
+    @property
+    def found(self) -> bool:
+        return self.status in (PlanStatus.SOLVED, PlanStatus.BOUNDED)
+
+
+class AnytimeSearch(Protocol):
+    """A search to one goal that goes on while its robot drives and its costs change."""
+
+    @property
+    def optimal(self) -> bool:
+        """True when there is nothing left to do until something changes."""
+        ...
+
+    @property
+    def epsilon(self) -> float:
+        """How many times the least the way of the present pass may cost."""
+        ...
+
+    @property
+    def expanded(self) -> int:
+        """States expanded since the beginning."""
+        ...
+
+    def work(self, budget: int) -> Route | None:
+        """Expand at most so many states; a way when a pass is done with that."""
+        ...
+
+    def move(self, start: int) -> None:
+        """The robot plans from another state."""
+        ...
+
+    def changed(self, states: I32, heights: bool = False, epsilon: float | None = None) -> None:
+        """Costs from these states, or the heights of their cells, have changed; heights: so may all have."""
+        ...
+
+    def retarget(self, goal_cell: int) -> None:
+        """Plan to another cell."""
+        ...
+
+    def to_memory(self) -> Memory:
+        """Named arrays from which `restore` goes on."""
+        ...
+
+    def restore(self, memory: Memory) -> None:
+        """Undo `to_memory`."""
+        ...
+
+
 class Planner(Protocol):
     """Decides where and when."""
 

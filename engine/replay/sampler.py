@@ -70,7 +70,7 @@ class MotionSampler:
     A vehicle that stands in an open interval is known up to the keyframe's tick; one that moves, up to its last row.
     """
 
-    def __init__(self, n: int, xy_m: F32, heading_deg: tuple[int, ...]) -> None:
+    def __init__(self, n: int, xy_m: F32, heading_deg: tuple[float, ...]) -> None:
         self.n = n
         self._xy = np.asarray(xy_m, np.float64)
         self._heading = np.asarray(heading_deg, np.float64)

@@ -21,6 +21,8 @@ from engine.scenario.start import start_places
 from engine.types import NONE, StationKind
 from engine.units import J_PER_WH
 from engine.world.floor import GridWorld, Station, World
+from engine.world.relief import tilt
+from engine.world.terrain import TerrainWorld, disc
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -56,6 +58,8 @@ def check(scenario: Scenario, world: World, demand: DemandModel | None = None) -
 
     demand: the model that turns motion into energy; without it, the scenario's own when it is `xu2025` or `constant`.
     """
+    if isinstance(world, TerrainWorld):
+        return list(_ground(scenario, world))
     if scenario.orders.source == "goals":
         return [*_goals(scenario, world), *_speed(scenario), *_battery_to_goals(scenario, world, demand)]
     graph = place_graph(world)
@@ -257,6 +261,33 @@ def _goals(scenario: Scenario, world: World) -> Iterator[Finding]:
         yield Finding("error", "goals", f"and {len(problems) - NAMED} more vehicles without a way to their goals")
     if not problems:
         yield Finding("ok", "goals", f"each of {len(goals)} vehicles has a way to its goal")
+
+
+def _ground(scenario: Scenario, world: TerrainWorld) -> Iterator[Finding]:
+    """The robot can stand at its start and its goal, and ground that it may drive on joins them."""
+    from scipy.ndimage import binary_dilation, label
+
+    terrain = world.terrain
+    near = disc(world.body_m / world.grain_m)
+    body = np.zeros((2 * near.max() + 1,) * 2, np.bool_)
+    body[near[:, 1] + near.max(), near[:, 0] + near.max()] = True
+    steep = tilt(terrain.height_m, terrain.cell_m) > np.tan(np.radians(terrain.slope_limit_deg))
+    parts, _ = label(~(binary_dilation(terrain.obstacle, body) | steep), np.ones((3, 3)))
+    (start,), (goal,) = start_places(scenario, world), goal_places(scenario, world)
+    for word, place in (("start", start), ("goal", goal)):
+        if not parts.flat[place]:
+            text = f"the robot can't stand at its {word} {world.place_name(place)}: an obstacle is near, or it is steep"
+            yield Finding("error", "goals", text, place)
+    if parts.flat[start] and parts.flat[goal]:
+        if parts.flat[start] != parts.flat[goal]:
+            text = f"obstacles and slopes cut the goal {world.place_name(goal)} off from the start"
+            yield Finding("error", "goals", text, goal)
+        else:
+            yield Finding("ok", "goals", "ground that the robot may drive on joins its start and its goal")
+    share = float((parts > 0).mean())
+    yield Finding(
+        "ok", "ground", f"{share:.0%} of the ground can be driven on; {world.known.mean():.0%} is known before"
+    )
 
 
 def _battery_to_goals(scenario: Scenario, world: World, demand: DemandModel | None) -> Iterator[Finding]:

@@ -77,6 +77,11 @@ def _floor(scenario: Scenario) -> Iterator[Problem]:
     floor = scenario.floor
     if floor.network is not None and floor.kind != "network":
         yield Problem(("floor", "network"), "only a floor of kind 'network' has this table")
+    if floor.terrain is not None and floor.kind != "terrain":
+        yield Problem(("floor", "terrain"), "only a floor of kind 'terrain' has this table")
+    if floor.kind == "terrain":
+        yield from _terrain(scenario)
+        return
     if floor.kind == "network":
         for key in ("rows", "blocks", "map"):
             if getattr(floor, key) is not None:
@@ -124,6 +129,34 @@ def _floor(scenario: Scenario) -> Iterator[Problem]:
                 break
     if not any(letter in AISLES + ENDPOINTS for row in rows for letter in row):
         yield Problem(("floor", "rows"), "no cell of the floor can hold a vehicle")
+
+
+def _terrain(scenario: Scenario) -> Iterator[Problem]:
+    """Ground that can be made, and one robot that goes somewhere on it."""
+    floor = scenario.floor
+    for key in ("rows", "blocks"):
+        if getattr(floor, key) is not None:
+            yield Problem(("floor", key), f"a floor of kind 'terrain' has no {key}")
+    if floor.terrain is None:
+        yield Problem(("floor", "kind"), "a floor of kind 'terrain' needs a table [floor.terrain]")
+        return
+    if floor.map is not None:
+        text = "a map beside the scenario is read when the scenario is a file; here `terrain.heights` must hold it"
+        yield Problem(("floor", "map"), text)
+    try:
+        build_world(scenario)
+    except BadInput as error:
+        yield Problem(("floor", "terrain"), str(error))
+        return
+    if floor.occupancy != "hold":
+        yield Problem(("floor", "occupancy"), f"got {floor.occupancy!r}; terrain needs 'hold'")
+    if scenario.fleet.count != 1:
+        yield Problem(("fleet", "count"), f"got {scenario.fleet.count}; one robot drives on terrain")
+    if isinstance(scenario.fleet.start, str):
+        text = f"got {scenario.fleet.start!r}; on terrain the robot starts in a cell [[x, y]]"
+        yield Problem(("fleet", "start"), text)
+    if scenario.orders.source != "goals":
+        yield Problem(("orders", "source"), f"got {scenario.orders.source!r}; on terrain the robot has one of 'goals'")
 
 
 def _access(scenario: Scenario, cells: NDArray[np.uint8]) -> Iterator[Problem]:

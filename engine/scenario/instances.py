@@ -10,6 +10,7 @@ from engine.errors import FormatError, ScenarioError
 from engine.scenario.model import Scenario
 from engine.scenario.reading import from_dict
 from engine.world.floor import GridWorld
+from engine.world.terrain import TerrainWorld
 
 if TYPE_CHECKING:
     from engine.world.floor import World
@@ -75,6 +76,6 @@ def _slug(stem: str) -> str:
 
 def goal_places(scenario: Scenario, world: World) -> tuple[int, ...]:
     """Goal of every vehicle as a place; empty where orders come from elsewhere."""
-    if scenario.orders.source != "goals" or not isinstance(world, GridWorld):
+    if scenario.orders.source != "goals" or not isinstance(world, GridWorld | TerrainWorld):
         return ()
     return tuple(world.place_at(x, y) for x, y in scenario.orders.goals)

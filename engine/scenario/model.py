@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, field_validator
@@ -11,7 +13,10 @@ from engine.scenario.blocks import rows_of_blocks
 from engine.types import Occupancy, StationKind
 from engine.world.floor import FloorPlan
 from engine.world.grid import GridMotion
+from engine.world.height_files import unpacked
 from engine.world.network import Arc, NetworkPlan, Node, mesh
+from engine.world.relief import Terrain, generate, terrain_of
+from engine.world.terrain import TerrainPlan
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -113,15 +118,68 @@ class NetworkSection(Section):
         return nodes, tuple(arcs)
 
 
+class TerrainSection(Section):
+    """Ground outdoors, generated or from a file of heights, and what the robot knows and sees of it."""
+
+    generator: str = Field(default="bumps", min_length=1, description="Class of terrain, when there is no map")
+    seed: int = Field(default=1, ge=0, le=2**63 - 1, description="Seed of the ground; the run's seed leaves it alone")
+    width_m: Positive = Field(default=60.0, le=1000, description="West to east")
+    length_m: Positive = Field(default=60.0, le=1000, description="South to north")
+    hills_m: NotNegative = Field(default=1.5, le=100, description="Height of the highest hills")
+    hills: int = Field(default=40, ge=0, le=1000, description="Hills")
+    obstacles: int = Field(default=0, ge=0, le=1000, description="Round obstacles")
+    rough: int = Field(default=0, ge=0, le=1000, description="Patches of 1.5 to 2.5 times the rolling resistance")
+    clear: tuple[tuple[NotNegative, NotNegative], ...] = Field(
+        default=(), description="Points [[x, y], …] in metres that obstacles keep clear of"
+    )
+    heights: str | None = Field(default=None, description="Heights of `floor.map`, packed; in place of a generator")
+    low_m: float = Field(default=0.0, description="Height of black in a PNG")
+    high_m: float = Field(default=2.0, description="Height of white in a PNG")
+    slope_limit_deg: float = Field(default=30.0, gt=0, lt=90, description="Steeper ground is not driven on")
+    cluster: Literal["figure4", "medium", "dense"] = Field(default="figure4", description="Trajectories per heading")
+    turn_rate_deg: Positive = Field(default=22.5, le=360, description="Degrees per second that the robot turns at most")
+    body_m: NotNegative = Field(default=0.4, le=10, description="Radius of the disc that stands for the robot's body")
+    sensor_m: Positive = Field(default=4.0, le=100, description="How far the robot sees")
+    prior: Literal["full", "coarse", "none"] = Field(
+        default="coarse", description="What is known beforehand: all, a coarse map of the heights, or nothing"
+    )
+    coarse_m: Positive = Field(default=5.0, le=100, description="Blocks of the coarse map")
+
+    def terrain(self, cell_m: float) -> Terrain:
+        """The ground. Raises BadInput."""
+        return _ground(self.model_dump_json(), cell_m)
+
+
+@lru_cache(maxsize=4)
+def _ground(section: str, cell_m: float) -> Terrain:
+    """Made once: checks, world and drawing ask for it."""
+    s = TerrainSection.model_validate_json(section)
+    if s.heights is not None:
+        return terrain_of(unpacked(s.heights), cell_m, slope_limit_deg=s.slope_limit_deg)
+    return generate(
+        s.generator,
+        s.seed,
+        size_m=(s.width_m, s.length_m),
+        cell_m=cell_m,
+        height_m=s.hills_m,
+        count=s.hills,
+        obstacles=s.obstacles,
+        rough=s.rough,
+        slope_limit_deg=s.slope_limit_deg,
+        free=s.clear,
+    )
+
+
 class FloorSection(Section):
-    kind: Literal["drawing", "blocks", "movingai", "network"] = Field(
+    kind: Literal["drawing", "blocks", "movingai", "network", "terrain"] = Field(
         default="drawing",
-        description="Drawn in `rows`, generated from `blocks`, `rows` with MovingAI's letters, or a path network",
+        description="Drawn in `rows`, generated from `blocks`, `rows` with MovingAI's letters, a network, or terrain",
     )
     rows: str | None = Field(default=None, description="The drawing, top row first, one letter per cell")
-    map: str | None = Field(default=None, description="A MovingAI .map file beside the scenario, read into `rows`")
+    map: str | None = Field(default=None, description="A file beside the scenario: MovingAI .map, or heights")
     blocks: BlocksSection | None = Field(default=None, description="Parameters of the generator `blocks`")
     network: NetworkSection | None = Field(default=None, description="Nodes and arcs of a network")
+    terrain: TerrainSection | None = Field(default=None, description="Ground outdoors")
     cell_m: Positive = Field(default=1.0, le=100, description="Side of a cell in metres")
     connectivity: Literal[4, 8] = Field(default=4, description="Neighbours of a cell")
     occupancy: Literal["hold", "mapf"] = Field(default="hold", description="How vehicles exclude each other")
@@ -137,6 +195,9 @@ class FloorSection(Section):
         """Rows of letters, top row first; drawn or generated. Raises BadInput when the generator can't."""
         if self.kind == "blocks":
             return rows_of_blocks(**(self.blocks or BlocksSection()).model_dump())
+        if self.kind == "terrain":
+            obstacle = (self.terrain or TerrainSection()).terrain(self.cell_m).obstacle
+            return tuple("".join("#" if shut else "." for shut in row) for row in obstacle[::-1].tolist())
         rows = tuple(line.strip() for line in (self.rows or "").splitlines() if line.strip())
         return tuple(row.translate(TERRAIN) for row in rows) if self.kind == "movingai" else rows
 
@@ -280,7 +341,7 @@ class DispatchSection(Section):
 
 class PlannerSection(Section):
     name: str = Field(default="prioritized", min_length=1, description="Planner")
-    objective: Literal["time", "energy"] = Field(default="time", description="What a plan minimises")
+    objective: Literal["time", "energy", "distance"] = Field(default="time", description="What a plan minimises")
     parameters: dict[str, float | int | bool | str] = Field(
         default_factory=dict, description="Parameters of the planner"
     )
@@ -324,9 +385,11 @@ class Scenario(Section):
     faults: FaultsSection = Field(default_factory=FaultsSection)
     log: LogSection = Field(default_factory=LogSection)
 
-    def floor_plan(self) -> FloorPlan | NetworkPlan:
+    def floor_plan(self) -> FloorPlan | NetworkPlan | TerrainPlan:
         """The floor as drawn or generated, for engine.world.build_world. Raises BadInput when it contradicts itself."""
         motion = self.motion
+        if self.floor.kind == "terrain":
+            return self.terrain_plan()
         if self.floor.kind == "network":
             nodes, arcs = (self.floor.network or NetworkSection()).parts()
             return NetworkPlan(
@@ -354,6 +417,21 @@ class Scenario(Section):
             occupancy=Occupancy(self.floor.occupancy),
             margin_ticks=self.floor.margin_ticks,
             one_way=self.floor.one_way,
+        )
+
+    def terrain_plan(self) -> TerrainPlan:
+        """The ground of a floor of kind `terrain`. Raises BadInput when it contradicts itself."""
+        ground = self.floor.terrain or TerrainSection()
+        return TerrainPlan(
+            terrain=ground.terrain(self.floor.cell_m),
+            tick_s=self.time.tick_s,
+            speed_mps=self.motion.speed_mps,
+            turn_rate=math.radians(ground.turn_rate_deg),
+            cluster=ground.cluster,
+            body_m=ground.body_m,
+            sensor_m=ground.sensor_m,
+            prior=ground.prior,
+            coarse_m=ground.coarse_m,
         )
 
     def to_toml(self) -> str:

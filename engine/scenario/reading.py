@@ -11,7 +11,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import assets
-from engine.errors import FormatError, ScenarioError, nearest_name, unknown_name
+from engine.errors import BadInput, FormatError, ScenarioError, nearest_name, unknown_name
 from engine.scenario import toml_text
 from engine.scenario.consistency import Problem, problems_of
 from engine.scenario.model import Scenario, Section
@@ -93,7 +93,12 @@ def parse(
 def _read_map(data: dict[str, Any], where: _Where, folder: FilePath) -> None:
     """Put the rows of `floor.map` into `floor.rows`, so that the scenario is whole by itself."""
     floor = data.get("floor")
-    if not isinstance(floor, dict) or not isinstance(name := floor.get("map"), str) or floor.get("kind") != "movingai":
+    if not isinstance(floor, dict) or not isinstance(name := floor.get("map"), str):
+        return
+    if floor.get("kind") == "terrain":
+        _read_heights(floor, name, where, folder)
+        return
+    if floor.get("kind") != "movingai":
         return
     if "rows" in floor:
         raise _all([Problem(("floor", "map"), "a floor has either `map` or `rows`, not both")], where)
@@ -106,6 +111,29 @@ def _read_map(data: dict[str, Any], where: _Where, folder: FilePath) -> None:
         floor["rows"] = "\n".join(map_rows(read_map(folder / name)))
     except FormatError as error:
         raise _all([Problem(("floor", "map"), str(error))], where) from error
+    del floor["map"]
+
+
+def _read_heights(floor: dict[str, Any], name: str, where: _Where, folder: FilePath) -> None:
+    """Put the heights of `floor.map` into `floor.terrain.heights`, and the side of a cell where the file says it."""
+    from engine.world.height_files import ENDINGS, packed, read_heights
+
+    table = floor.setdefault("terrain", {})
+    if not isinstance(table, dict):
+        return  # validation says so
+    if "heights" in table:
+        raise _all([Problem(("floor", "map"), "a floor has either `map` or `terrain.heights`, not both")], where)
+    if FilePath(name).is_absolute() or ".." in FilePath(name).parts or FilePath(name).suffix.lower() not in ENDINGS:
+        text = f"got {name!r}, expected a file of heights ({', '.join(ENDINGS)}) in the folder of the scenario"
+        raise _all([Problem(("floor", "map"), text)], where)
+    given = {key: float(table[key]) for key in ("low_m", "high_m") if isinstance(table.get(key), int | float)}
+    try:
+        heights, cell_m = read_heights(folder / name, **{"low_m": 0.0, "high_m": 2.0, **given})
+        table["heights"] = packed(heights)
+    except BadInput as error:
+        raise _all([Problem(("floor", "map"), str(error))], where) from error
+    if cell_m is not None:
+        floor.setdefault("cell_m", cell_m)
     del floor["map"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from engine.errors import ScenarioError
 from engine.scenario.model import Scenario
 from engine.world.floor import GridWorld, World
+from engine.world.terrain import TerrainWorld
 
 
 def start_places(scenario: Scenario, world: World) -> tuple[int, ...]:
@@ -13,7 +14,7 @@ def start_places(scenario: Scenario, world: World) -> tuple[int, ...]:
     Vehicles are spread evenly over the chargers (or the parking); those that find none there stand on the other kind.
     """
     start, count = scenario.fleet.start, scenario.fleet.count
-    if not isinstance(start, str) and isinstance(world, GridWorld):
+    if not isinstance(start, str) and isinstance(world, GridWorld | TerrainWorld):
         return tuple(world.place_at(x, y) for x, y in start)
     first, second = (world.chargers, world.parking) if start != "parking" else (world.parking, world.chargers)
     if count > len(first) + len(second):

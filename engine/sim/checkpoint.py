@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,6 +73,11 @@ def save(sim: Simulation, folder: Path) -> None:
         "planner_rng": sim.parts.planner_rng.bit_generator.state,
         "memory": {k: v for k, v in sim.memory.items() if not isinstance(v, np.ndarray)},
     }
+    write(folder, arrays, plain)
+
+
+def write(folder: Path, arrays: Mapping[str, Any], plain: Mapping[str, Any]) -> None:
+    """Write a checkpoint folder; complete or not there at all. Raises RunError."""
     part = folder.with_name(folder.name + ".part")
     try:
         part.mkdir(parents=True, exist_ok=True)
@@ -96,13 +102,18 @@ def read_plain(folder: Path) -> dict[str, Any]:
     return plain
 
 
-def restore(sim: Simulation, folder: Path, plain: dict[str, Any]) -> None:
-    """Bring a freshly built simulation of the same scenario to the checkpoint's tick."""
+def read_arrays(folder: Path) -> dict[str, Any]:
+    """The arrays of a checkpoint. Raises RunError when it is damaged."""
     try:
         with np.load(folder / ARRAYS, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+            return {name: stored[name] for name in stored.files}
     except (OSError, ValueError, KeyError) as why:
         raise RunError(f"the checkpoint {folder.name} can't be read: {why}") from why
+
+
+def restore(sim: Simulation, folder: Path, plain: dict[str, Any]) -> None:
+    """Bring a freshly built simulation of the same scenario to the checkpoint's tick."""
+    arrays = read_arrays(folder)
     for name, array in sim.fleet._asdict().items():
         array[...] = arrays[f"fleet.{name}"]
     for name, array in sim.learning.times._asdict().items():

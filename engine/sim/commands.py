@@ -40,14 +40,7 @@ def submit(sim: Simulation, command: Mapping[str, Any]) -> Answer:
     number = sim.commands
     sim.commands += 1
     try:
-        what = command.get("do")
-        if not isinstance(what, str) or what not in COMMANDS:
-            raise BadInput(unknown_name("command", str(what), COMMANDS))
-        handler, needs = COMMANDS[what]
-        for key in command:
-            if key != "do" and key not in needs:
-                raise BadInput(unknown_name(f"field of command {what!r}", str(key), needs))
-        values = {key: _number(command, key, kind) for key, kind in needs.items() if key in command or kind is not None}
+        handler, values = values_of(command, COMMANDS)
         reason, accepted = handler(sim, **{k.replace("from", "source"): v for k, v in values.items()}), True
     except (BadInput, Refused) as why:
         reason, accepted = str(why), False
@@ -56,6 +49,20 @@ def submit(sim: Simulation, command: Mapping[str, Any]) -> Answer:
     if accepted:
         sim.settle()
     return Answer(accepted, reason, sim.tick, number)
+
+
+def values_of(
+    command: Mapping[str, Any], known: Mapping[str, tuple[Callable[..., str], dict[str, Any]]]
+) -> tuple[Callable[..., str], dict[str, Any]]:
+    """Who does a command, and its fields as numbers. Raises BadInput with the nearest name."""
+    what = command.get("do")
+    if not isinstance(what, str) or what not in known:
+        raise BadInput(unknown_name("command", str(what), known))
+    handler, needs = known[what]
+    for key in command:
+        if key != "do" and key not in needs:
+            raise BadInput(unknown_name(f"field of command {what!r}", str(key), needs))
+    return handler, {k: _number(command, k, kind) for k, kind in needs.items() if k in command or kind is not None}
 
 
 def _number(command: Mapping[str, Any], key: str, kind: type | None) -> Any:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from engine import traffic
 from engine.dispatch.base import ChargingPolicy, Dispatcher, FloorView
 from engine.energy import Battery, CostTable
-from engine.errors import InvariantBroken
+from engine.errors import InvariantBroken, ScenarioError
 from engine.orders.book import OrderBook
 from engine.orders.sources import OrderSource
 from engine.planners import Solver
@@ -334,7 +334,13 @@ class Simulation:
         self.view.orders = book
 
     def become(self, parts: Parts, *, keep_orders: bool, keep_faults: bool) -> None:
-        """Go on with another planner, policies or order source; motions already committed finish first."""
+        """Go on with another planner, policies or order source; motions already committed finish first.
+
+        Raises ScenarioError between planners whose plans are kept apart and planners whose plans are executed as they
+        are.
+        """
+        if parts.planner.promise.legal == self.open_loop:
+            raise ScenarioError("a fork can't change between plans that are kept apart and plans executed as they are")
         old = self.parts
         if parts.planner != old.planner or parts.solver != old.solver:
             self.plan_all = len(self.goals) > 0

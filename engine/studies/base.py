@@ -31,6 +31,7 @@ from engine.errors import InvariantBroken, RunError, ScenarioError, WattlaneErro
 STUDIES: dict[str, str] = {
     "xu2025": "engine.studies.xu2025:Xu2025",
     "lian2024": "engine.studies.lian2024:Lian2024",
+    "zhang2021": "engine.studies.zhang2021:Zhang2021",
     "wang2019": "engine.studies.wang2019:Wang2019",
     "soochow2022": "engine.studies.soochow2022:Soochow2022",
 }

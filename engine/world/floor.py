@@ -20,6 +20,7 @@ from engine.world.motion_graph import MotionGraph
 
 if TYPE_CHECKING:
     from engine.world.network import NetworkPlan
+    from engine.world.terrain import TerrainPlan
 
 Cell = tuple[int, int]
 """(x, y), counted from 0 at the bottom left."""
@@ -71,8 +72,8 @@ class FloorPlan:
 class HasFloorPlan(Protocol):
     """Anything that can say which floor it wants, such as a scenario."""
 
-    def floor_plan(self) -> FloorPlan | NetworkPlan:
-        """The floor as drawn, or as nodes and arcs."""
+    def floor_plan(self) -> FloorPlan | NetworkPlan | TerrainPlan:
+        """The floor as drawn, as nodes and arcs, or as ground."""
         ...
 
 
@@ -259,11 +260,14 @@ def named_endpoints(cells: NDArray[np.uint8]) -> dict[str, Cell]:
     return names
 
 
-def build_world(source: FloorPlan | NetworkPlan | HasFloorPlan) -> World:
+def build_world(source: FloorPlan | NetworkPlan | TerrainPlan | HasFloorPlan) -> World:
     """Compile a floor, or the floor of a scenario. Raises BadInput with one sentence when the plan is wrong."""
     from engine.world.network import NetworkPlan, build_network
+    from engine.world.terrain import TerrainPlan, build_terrain
 
-    plan = source if isinstance(source, FloorPlan | NetworkPlan) else source.floor_plan()
+    plan = source if isinstance(source, FloorPlan | NetworkPlan | TerrainPlan) else source.floor_plan()
+    if isinstance(plan, TerrainPlan):
+        return build_terrain(plan)
     return build_grid(plan) if isinstance(plan, FloorPlan) else build_network(plan)
 
 

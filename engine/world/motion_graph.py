@@ -56,7 +56,7 @@ class MotionGraph:
     rev_ptr: I32  # (S+1,) edges entering a state
     rev_edge: I32  # (E,)
     arc_ticks: I32  # (P,) ticks of driving along a place that is an arc of the ways; 0 where it is none
-    heading_deg: tuple[int, ...]
+    heading_deg: tuple[float, ...]
     primitives: tuple[Primitive, ...]
     kind_ticks: I32 = field(repr=False)  # (K,)
     kind_mm: I32 = field(repr=False)  # (K,) distance in whole millimetres

@@ -9,12 +9,14 @@ from engine.scenario import Scenario
 from engine.sim.judge.breach import Breach, BreachKind, in_order
 from engine.sim.judge.commands import commands
 from engine.sim.judge.energy import energy
+from engine.sim.judge.ground import judge_ground
 from engine.sim.judge.motion import blocked, continuity, edges_of, existence
 from engine.sim.judge.occupancy import occupancy
 from engine.sim.judge.orders import orders
 from engine.sim.judge.plan import judge_plan, judge_plan_file
 from engine.sim.judge.record import RunLog, record_of
 from engine.world.floor import World
+from engine.world.terrain import TerrainWorld
 
 __all__ = ["Breach", "BreachKind", "judge", "judge_plan", "judge_plan_file"]
 
@@ -25,6 +27,8 @@ def judge(reader: RunLog, scenario: Scenario, world: World) -> list[Breach]:
     reader: a finished, running or killed run's log, up to where it goes; what retention dropped is not judged.
     At most breach.REPORTED breaches are listed per rule.
     """
+    if isinstance(world, TerrainWorld):
+        return in_order(judge_ground(reader, scenario, world))
     r = record_of(reader, world.graph)
     edge = edges_of(r, world.graph)
     return in_order(

@@ -25,10 +25,10 @@ _UPSETS = ("breakdown", "stranded", "deadlock", "stalled", "forked")
 def commands(r: Record, log: RunLog, scenario: Scenario, world: World) -> Iterator[Breach]:
     """A paused or failed vehicle starts no motion, a charger that is out charges nobody, and so on."""
     given = accepted(log)
-    yield from islice(_held(r, given), REPORTED)
+    yield from islice(held(r, given), REPORTED)
     yield from islice(_chargers(r, given, world), REPORTED)
     yield from islice(_withdrawn(log, given), REPORTED)
-    yield from islice(_blocks(log, given), REPORTED)
+    yield from islice(blocks_set(log, given), REPORTED)
     yield from islice(_new_orders(log, given), REPORTED)
     yield from islice(_rates(log, given, scenario, r.end), REPORTED)
     yield from islice(_sent(r, log, given, world), REPORTED)
@@ -40,7 +40,8 @@ def _spans(given: Given, on: str, off: str, subject: str) -> dict[int, list[tupl
     return spans((int(c[subject]), tick, c["do"] == on) for tick, c in given if c.get("do") in (on, off))
 
 
-def _held(r: Record, given: Given) -> Iterator[Breach]:
+def held(r: Record, given: Given) -> Iterator[Breach]:
+    """Motions of vehicles that are paused or failed."""
     for on, off, word in (("pause", "continue", "paused"), ("fail", "repair", "failed")):
         for vehicle, intervals in _spans(given, on, off, "vehicle").items():
             for begin, end in intervals:
@@ -72,7 +73,8 @@ def _withdrawn(log: RunLog, given: Given) -> Iterator[Breach]:
             yield Breach(BreachKind.COMMAND, tick, (), -1, f"order {order} was withdrawn at tick {tick} and goes on")
 
 
-def _blocks(log: RunLog, given: Given) -> Iterator[Breach]:
+def blocks_set(log: RunLog, given: Given) -> Iterator[Breach]:
+    """Commands to block or free a place after which it is not so."""
     t = log.table("blocks")
     place, tick = np.asarray(t["place"], np.int64), np.asarray(t["tick"], np.int64)
     order = np.lexsort((np.arange(len(place)), tick, place))

@@ -39,7 +39,7 @@ def energy(r: Record, log: RunLog, scenario: Scenario, graph: MotionGraph) -> It
     if cost is not None:
         yield from _ledgers(r, samples, cost, scenario, graph)
     yield from _charging(r, samples, scenario)
-    yield from _batteries(r, samples, log, scenario)
+    yield from batteries(r, samples, log, scenario)
 
 
 def costs(scenario: Scenario, graph: MotionGraph) -> I64 | None:
@@ -163,7 +163,7 @@ def _part(r: Record, rows: I64, cost: I64, graph: MotionGraph, until: I64) -> I6
     return np.asarray(whole * passed[:, None] // ticks[:, None])
 
 
-class _Samples:
+class Samples:
     """Battery rows by vehicle and tick; `follows` where the row before is the same vehicle's."""
 
     def __init__(self, log: RunLog) -> None:
@@ -178,12 +178,12 @@ class _Samples:
         self.follows[1:] = self.vehicle[1:] == self.vehicle[:-1]
 
 
-def _samples(log: RunLog) -> _Samples | None:
-    samples = _Samples(log)
+def _samples(log: RunLog) -> Samples | None:
+    samples = Samples(log)
     return samples if len(samples.tick) else None
 
 
-def _sums(r: Record, s: _Samples, cost: I64, graph: MotionGraph) -> I64:
+def _sums(r: Record, s: Samples, cost: I64, graph: MotionGraph) -> I64:
     """Energy of every vehicle's motions up to each sample, (samples, components), from its first interval on."""
     if r.n == 0:
         return np.zeros_like(s.ledger)
@@ -206,7 +206,7 @@ def _sums(r: Record, s: _Samples, cost: I64, graph: MotionGraph) -> I64:
     return out
 
 
-def _ledgers(r: Record, s: _Samples, cost: I64, scenario: Scenario, graph: MotionGraph) -> Iterator[Breach]:
+def _ledgers(r: Record, s: Samples, cost: I64, scenario: Scenario, graph: MotionGraph) -> Iterator[Breach]:
     """Between two samples each component grows by the sum over the motions; standby by its power."""
     expected = _sums(r, s, cost, graph)
     expected[:, Component.STANDBY] = standby_mj(scenario) * s.tick
@@ -231,7 +231,7 @@ def _ledgers(r: Record, s: _Samples, cost: I64, scenario: Scenario, graph: Motio
         yield Breach(BreachKind.ENERGY, t, (v,), -1, text)
 
 
-def _charging(r: Record, s: _Samples, scenario: Scenario) -> Iterator[Breach]:
+def _charging(r: Record, s: Samples, scenario: Scenario) -> Iterator[Breach]:
     """Charge flows only while charging, not faster than the charger gives, and with its losses."""
     ticks = np.where(r.kind == Activity.CHARGE, r.t1 - r.t0, 0)
     running = np.concatenate([[0], np.cumsum(ticks)])
@@ -268,7 +268,7 @@ def max_charge_mj(scenario: Scenario) -> int:
     return math.ceil(power_w * tick_s * 1000)
 
 
-def _accepted(s: _Samples, during: I64, scenario: Scenario, battery: Known) -> Iterator[Breach]:
+def _accepted(s: Samples, during: I64, scenario: Scenario, battery: Known) -> Iterator[Breach]:
     """What reaches the battery while charging is no more than it takes at the charges that it had."""
     if battery.accept_w is None:
         return
@@ -290,7 +290,7 @@ def _accepted(s: _Samples, during: I64, scenario: Scenario, battery: Known) -> I
             yield Breach(BreachKind.BATTERY, t, (v,), -1, text)
 
 
-def _batteries(r: Record, s: _Samples, log: RunLog, scenario: Scenario) -> Iterator[Breach]:
+def batteries(r: Record, s: Samples, log: RunLog, scenario: Scenario) -> Iterator[Breach]:
     """Charge falls by what the ledger's components sum to at the battery's voltage, between empty and full.
 
     The only other way to change it is to change the battery, which is an event.
@@ -319,7 +319,7 @@ def _batteries(r: Record, s: _Samples, log: RunLog, scenario: Scenario) -> Itera
         yield Breach(BreachKind.BATTERY, t, (v,), -1, text)
 
 
-def _slack_mc(r: Record, s: _Samples, battery: Known, scenario: Scenario) -> I64:
+def _slack_mc(r: Record, s: Samples, battery: Known, scenario: Scenario) -> I64:
     """How far charge and ledger may be apart.
 
     Less than one mC is carried over, but for mC that are mJ. Where the voltage falls with the charge, a tick has that
