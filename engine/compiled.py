@@ -17,3 +17,9 @@ def lean(function: F) -> F:
     """
     options: Any = {"cache": True, "nogil": True, "_nrt": False}
     return cast(F, njit(**options)(function))
+
+
+def folded(function: F) -> F:
+    """The same, and put into its callers whole: for what is small, called often, and would be handed many arrays."""
+    options: Any = {"cache": True, "nogil": True, "_nrt": False, "forceinline": True}
+    return cast(F, njit(**options)(function))
