@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,8 +108,7 @@ class FloorView:
         return self._near[place]
 
 
-@dataclass(frozen=True, slots=True)
-class Assignment:
+class Assignment(NamedTuple):
     """An order for a vehicle, and where the vehicle rests afterwards (candidates, best first).
 
     target: place where it is brought, -1 for the order's own · note: how good the plan is that it comes from.
@@ -122,8 +121,7 @@ class Assignment:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Refusal:
+class Refusal(NamedTuple):
     """Why an order is not given to anybody now."""
 
     order: int
@@ -138,8 +136,7 @@ class Dispatcher(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class Move:
+class Move(NamedTuple):
     """Send a vehicle without an order to a rest place (candidates, best first)."""
 
     vehicle: int

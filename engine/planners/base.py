@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,8 +75,7 @@ class Search(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class Leg:
+class Leg(NamedTuple):
     """One goal of a request: a place, and how long the vehicle stays there (the last stay is forever)."""
 
     place: int
@@ -85,8 +84,7 @@ class Leg:
     loaded: bool  # while driving to it
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+class Request(NamedTuple):
     """Plan for one vehicle from a motion state at a tick through all legs.
 
     gap: the claim behind which the vehicle stands (its own claims are not in the table) · cls: vehicle class.
@@ -100,8 +98,7 @@ class Request:
     legs: tuple[Leg, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class View:
+class View(NamedTuple):
     """What a planner may read: aliases of the simulation's arrays, not to be kept or written."""
 
     graph: MotionGraph
@@ -115,8 +112,7 @@ class View:
     request: Request
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(NamedTuple):
     """Timed motions of one vehicle: (n,) edges (-2 for a stay), Activity of stays, start and end ticks.
 
     energy_mj: standby included · bound: proven lower bound of the objective, or None.

@@ -178,7 +178,10 @@ def refresh_view(sim: Simulation) -> None:
 def idle_vehicles(sim: Simulation) -> list[int]:
     """Vehicles without an order that could be sent somewhere."""
     f = sim.fleet
-    idle = [v for v, order in enumerate(f.order.tolist()) if order < 0]
+    orders = f.order.tolist()
+    if NONE not in orders:
+        return []
+    idle = [v for v, order in enumerate(orders) if order == NONE]
     return [v for v in idle if not (f.failed[v] or f.paused[v] or f.task[v] == SENT or v in sim.needs_plan)]
 
 
@@ -196,7 +199,7 @@ def charging(sim: Simulation) -> None:
     for v in idle if not sim.swaps else ():
         if f.charge[v] < sim.levels.good[v]:
             sim.must_charge[v] = 1
-    if not sim.must_charge.any() and all(home_is_good(sim, v) for v in idle):
+    if not sim.must_charge.tobytes().count(1) and all(home_is_good(sim, v) for v in idle):
         sim.queue = []
         return
     moves, queue = sim.parts.charging.moves(sim.view, idle)

@@ -161,13 +161,13 @@ def commit(sim: Simulation, v: int, plan: Plan) -> None:
 
 
 def plan_row(sim: Simulation, v: int, plan: Plan, task: Task, order: int, tick: int, cpu_us: int) -> None:
-    c, p, f = sim.claims, sim.steps, sim.fleet
-    claimed = p.claim[v, : len(plan.edges)]
-    slots = np.concatenate([f.here[v : v + 1], claimed[claimed >= 0]])
-    end = int(plan.ends[-1]) if len(plan.ends) else tick
+    n = len(plan.edges)
+    claimed = np.empty((3, n + 1), np.int32)
+    claimed = claimed[:, : traffic.held(sim.claims, sim.steps, v, int(sim.fleet.here[v]), n, claimed)]
+    end = int(plan.ends[-1]) if n else tick
     sim.ledger.row(
-        "plans", sim.tick, v, int(task), order, plan.note or str(plan.status), c.place[slots], c.start[slots],
-        c.end[slots], tick, end, plan.energy_mj, plan.expanded, cpu_us,
+        "plans", sim.tick, v, int(task), order, plan.note or str(plan.status), *claimed, tick, end, plan.energy_mj,
+        plan.expanded, cpu_us,
     )  # fmt: skip
 
 

@@ -18,6 +18,8 @@ RETRY_S = 5.0
 
 def replan(sim: Simulation) -> None:
     """Plan the vehicles that lost their plans; those whose way they block lose theirs in turn."""
+    if not sim.needs_plan:
+        return
     pause = max(1, ticks_from_s(RETRY_S, sim.tick_s))
     for _ in range(2):
         waiting, sim.needs_plan = sim.needs_plan, []

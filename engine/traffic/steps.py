@@ -64,6 +64,20 @@ def lift(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> int:
 
 
 @lean
+def held(c: Claims, p: Steps, v: int, here: int, n: int, out: I32) -> int:
+    """Places, starts and ends of a vehicle's claims from its present place through n steps, into the rows of `out`
+    (3, n + 1); returns their number."""
+    out[0, 0], out[1, 0], out[2, 0] = c.place[here], c.start[here], c.end[here]
+    i = 1
+    for k in range(n):
+        slot = p.claim[v, k]
+        if slot >= 0:
+            out[0, i], out[1, i], out[2, i] = c.place[slot], c.start[slot], c.end[slot]
+            i += 1
+    return i
+
+
+@lean
 def put_back(c: Claims, p: Steps, v: int, here: int, step: int, steps: int) -> None:
     """Undo `lift`."""
     link(c, here)
