@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.dispatch import kernels
 from engine.orders.book import OrderBook
 from engine.planners.base import Search
 from engine.types import NONE
@@ -92,12 +93,10 @@ class FloorView:
 
     def nearest_rest(self, vehicle: int, place: int, chargers_only: bool, count: int = 3) -> list[int]:
         """The nearest free rest places by distance as the crow flies; the vehicle's own counts as free."""
+        out = np.empty(count, np.int32)
         near = self.rests_by_distance(place)
-        taken = self.holder[near]
-        ok = ((taken == NONE) | (taken == vehicle)) & (self.blocked[near] == 0)
-        if chargers_only:
-            ok &= self.is_charger[near] == 1
-        found: list[int] = near[ok][:count].tolist()
+        n = kernels.free_rests(near, self.holder, self.blocked, self.is_charger, vehicle, chargers_only, out)
+        found: list[int] = out[:n].tolist()
         return found
 
     def rests_by_distance(self, place: int) -> NDArray[np.int32]:

@@ -1,4 +1,4 @@
-"""Insertion of orders into vehicles' sequences, compiled. Sequences are chains: node N + r stands for vehicle r.
+"""Insertion of orders into vehicles' sequences, and free rest places, compiled. Sequences are chains: node N + r stands for vehicle r.
 
 Allocates nothing in its rounds but what it is given. Its slow twin is in tests/naive_dispatch.py.
 """
@@ -9,10 +9,31 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
+from engine.types import NONE
+
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
 
 BARRED = 2**40
+
+
+@lean
+def free_rests(
+    near: I32, holder: I32, blocked: U8, is_charger: U8, vehicle: int, chargers_only: bool, out: I32
+) -> int:  # fmt: skip
+    """The first of the rest places `near` that nobody else holds and nothing blocks, as many as `out` takes; their
+    number."""
+    n = 0
+    for place in near:
+        if n == len(out):
+            break
+        mine = holder[place] == NONE or holder[place] == vehicle
+        if mine and blocked[place] == 0 and (is_charger[place] or not chargers_only):
+            out[n] = place
+            n += 1
+    return n
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from engine.errors import FormatError
 from engine.world.grid import GridMotion, compile_grid
@@ -294,6 +293,8 @@ def random_floor(
 
 def largest_part(free: Mask) -> Mask:
     """(H, W) the most free cells that reach each other by horizontal and vertical steps."""
+    from scipy import ndimage
+
     labels, parts = ndimage.label(free)
     sizes = np.bincount(labels.ravel(), minlength=parts + 1)
     sizes[0] = 0
@@ -303,6 +304,8 @@ def largest_part(free: Mask) -> Mask:
 
 def are_connected(free: Mask, cells: Sequence[Cell]) -> bool:
     """True when all the cells are free and reach each other by horizontal and vertical steps."""
+    from scipy import ndimage
+
     labels, _ = ndimage.label(free)
     found = {int(labels[y, x]) for x, y in cells}
     return 0 not in found and len(found) <= 1

@@ -419,31 +419,30 @@ def choose_kerbs(
     of every entrance, where they charge; then the outermost, for few shortest routes lead over them, and those at
     entrances last.
     """
-    from scipy import sparse
-    from scipy.sparse import csgraph
-
-    n = len(plan.nodes)
     away = np.abs(xy - xy.mean(axis=0))
     outer = (away / np.maximum(away.max(axis=0), 1e-9)).max(axis=1)
     entrance = np.array([node.kind is StationKind.ENTRANCE for node in plan.nodes])
     rank = outer[lane_ends].mean(axis=1) - 2 * entrance[lane_ends].any(axis=1)
-    open_ = np.ones(len(lane_ends), np.bool_)
+    onward: list[set[int]] = [set() for _ in plan.nodes]
+    for a, b in lane_ends.tolist():
+        onward[a].add(b)
 
-    def parts() -> int:
-        a, b = lane_ends[open_].T
-        matrix: Any = sparse.csr_array((np.ones(len(a), np.int8), (a, b)), shape=(n, n))
-        return int(csgraph.connected_components(matrix, connection="strong", return_labels=False))
-
-    least = parts()
+    def reaches(a: int, b: int) -> bool:
+        seen, ahead = {a}, [a]
+        while ahead and b not in seen:
+            more = onward[ahead.pop()] - seen
+            seen |= more
+            ahead += more
+        return b in seen
 
     def closed(lane: int) -> bool:
-        a, b = lane_ends[lane]
-        back = np.flatnonzero((lane_ends[:, 0] == b) & (lane_ends[:, 1] == a))
-        if not open_[lane] or not len(back) or not open_[back[0]]:
+        a, b = lane_ends[lane].tolist()
+        if b not in onward[a] or a not in onward[b]:
             return False
-        open_[lane] = False
-        open_[lane] = parts() != least
-        return not open_[lane]
+        onward[a].remove(b)
+        if not reaches(a, b):  # b leads back to a: with another way there, everything still leads everywhere
+            onward[a].add(b)
+        return b not in onward[a]
 
     kerbs: list[int] = []
     chargers: list[int] = []

@@ -78,7 +78,7 @@ def record_of(log: RunLog, graph: MotionGraph) -> Record:
     """Read a run's intervals, ended and open."""
     motions, frames = log.table("motions"), log.table("keyframes")
     names = ("vehicle", "kind", "t0", "t1", "from_place", "to_place", "from_heading", "to_heading", "loaded", "order")
-    col = {name: np.asarray(motions[name], np.int64) for name in (*names, "energy_mj")}
+    col = {name: np.asarray(motions[name]) for name in (*names, "energy_mj")}
     end = int(col["t1"].max()) if len(col["t1"]) else 0
     ticks = np.asarray(frames["tick"], np.int64)
     latest = np.zeros(0, np.int64)
@@ -87,19 +87,19 @@ def record_of(log: RunLog, graph: MotionGraph) -> Record:
         rows = np.nonzero(ticks == ticks[-1])[0][::-1]
         latest = rows[np.unique(np.asarray(frames["vehicle"])[rows], return_index=True)[1]]
         end = max(end, int(ticks[-1]))
-    is_open = {name: np.asarray(frames[name], np.int64)[latest] for name in col}
+    is_open = {name: np.asarray(frames[name])[latest] for name in col}
     ended = np.zeros(int(max(is_open["vehicle"].max(initial=-1), col["vehicle"].max(initial=-1))) + 1, np.int64)
     np.maximum.at(ended, col["vehicle"], col["t1"])
     # a keyframe older than the last motions, or of an interval that has only just begun, says nothing more
     fresh = (is_open["t0"] >= ended[is_open["vehicle"]]) & (is_open["t0"] < end)
     is_open = {name: values[fresh] for name, values in is_open.items()}
-    is_open["t1"] = np.full(len(is_open["t0"]), end, np.int64)
+    is_open["t1"] = np.full(len(is_open["t0"]), end, np.int32)
     still = np.concatenate([np.zeros(len(col["t0"]), np.bool_), np.ones(len(is_open["t0"]), np.bool_)])
     col = {name: np.concatenate([col[name], is_open[name]]) for name in col}
 
-    key = (col["vehicle"] << 32) + np.maximum(col["t0"], -1)
+    key = (col["vehicle"].astype(np.int64) << 32) + np.maximum(col["t0"], -1)
     order = np.argsort(key, kind="stable")
-    col = {name: values[order] for name, values in col.items()}
+    col = {name: values[order].astype(np.int64) for name, values in col.items()}
     vehicle, kind, t0, t1 = col["vehicle"], col["kind"], col["t0"], col["t1"]
     follows = np.zeros(len(vehicle), np.bool_)
     follows[1:] = vehicle[1:] == vehicle[:-1]
