@@ -27,7 +27,7 @@ from engine.results.schema import TABLES, VERSION
 
 if TYPE_CHECKING:
     from app.library import Library
-    from engine.results.runlog import RunLogWriter
+    from engine.results.runlog import LogReader, RunLogWriter
     from engine.results.runs import Catalogue
     from engine.scenario import Scenario
     from engine.scenario.checks import Finding
@@ -68,7 +68,7 @@ class Tee:
             self._early.append((table, columns))
             return
         if table == "plans":
-            self.planner_us.extend(int(us) for us in columns["cpu_us"])
+            self.planner_us.extend(int(us) for us in columns["cpu_us"][-PLANNER_SAMPLES:])
         for recorder in self.recorders:
             recorder.write(table, columns)
 
@@ -468,6 +468,8 @@ class Run:
 
         A recording that can't be written costs a note, never the run.
         """
+        from engine.results.runlog import LogReader
+
         if status != "finished":
             self.checkpoint()
         self.sim.flush()
@@ -475,10 +477,11 @@ class Run:
         digest = self.sim.digest()
         wall_s = round(self.wall_s, 3)
         note = self._end_recording()
-        summary = self._summary(status, digest, wall_s)
+        written = LogReader(self.folder)
+        summary = self._summary(written, status, digest, wall_s)
         self.writer.close(status, ticks=self.sim.tick, wall_s=wall_s, digest=digest, summary=summary, note=note)
         if judge:
-            summary["breaches"] = judge_run(self.folder, self.scenario, self.sim.world)
+            summary["breaches"] = judge_run(self.folder, self.scenario, self.sim.world, written)
             amend(self.folder, status, summary=summary, breaches=summary["breaches"])
         return summary
 
@@ -496,13 +499,12 @@ class Run:
             self.rerun = None
         return ""
 
-    def _summary(self, status: str, digest: str, wall_s: float) -> dict[str, Any]:
+    def _summary(self, written: LogReader, status: str, digest: str, wall_s: float) -> dict[str, Any]:
         from engine.build import beside_costs
         from engine.results.metrics import metrics
-        from engine.results.runlog import LogReader
 
         beside = beside_costs(self.scenario, self.sim.world)
-        measured = metrics(LogReader(self.folder), beside=beside)
+        measured = metrics(written, beside=beside)
         counters = self.sim.metrics()
         return {
             "scenario": self.scenario.name,
@@ -603,16 +605,16 @@ def open_writer(folder: Path, scenario: Scenario) -> RunLogWriter:
     return RunLogWriter(folder, None, keyframe_ticks=keyframe_ticks, retention_bytes=LOG_BYTES if endless else None)
 
 
-def judge_run(folder: Path, scenario: Scenario, world: Any) -> int:
-    """Judges what is on disk, writes judge.json, and returns the number of breaches."""
-    return len(judge_folder(folder, scenario, world)["breaches"])
+def judge_run(folder: Path, scenario: Scenario, world: Any, written: LogReader | None = None) -> int:
+    """Judges what is on disk, writes judge.json, and returns the number of breaches. written: what was read of it."""
+    return len(judge_folder(folder, scenario, world, written)["breaches"])
 
 
-def judge_folder(folder: Path, scenario: Scenario, world: Any) -> dict[str, Any]:
+def judge_folder(folder: Path, scenario: Scenario, world: Any, written: LogReader | None = None) -> dict[str, Any]:
     from engine.results.runlog import LogReader
     from engine.sim.judge import judge
 
-    breaches = judge(LogReader(folder), scenario, world)
+    breaches = judge(written or LogReader(folder), scenario, world)
     verdict = {"run_id": folder.name, "breaches": [plain(dataclasses.asdict(b)) for b in breaches]}
     with contextlib.suppress(OSError):  # a demo's folder may be read-only
         (folder / "judge.json").write_text(json.dumps(verdict, ensure_ascii=False, indent=1), encoding="utf-8")

@@ -43,6 +43,19 @@ SCHEMAS: dict[str, Any] = {
 }
 
 
+_DICTIONARIES: dict[str, list[str]] = {
+    name: [column for column, kind in kinds.items() if kind in (TEXT, "int8")] for name, kinds in TABLES.items()
+}
+"""Columns of few different values."""
+
+
+_DIFFERENCES: dict[str, dict[str, str]] = {
+    name: {column: "DELTA_BINARY_PACKED" for column, kind in kinds.items() if kind in ("int32", "int64")}
+    for name, kinds in TABLES.items()
+}
+"""How the others are stored: neighbours are alike, so this takes a third less than dictionaries do, and less time."""
+
+
 _OPTIONS = pa.ipc.IpcWriteOptions(compression=CODEC)
 
 
@@ -215,7 +228,10 @@ def compact_log(log: Path) -> None:
             part = final.with_suffix(".parquet.part")
             meta = schema.with_metadata({"first_row": str(first), "log_version": str(VERSION)})
             try:
-                with pq.ParquetWriter(part, meta, compression=CODEC or "snappy") as out:
+                with pq.ParquetWriter(
+                    part, meta, compression=CODEC or "snappy", use_dictionary=_DICTIONARIES[table],
+                    column_encoding=_DIFFERENCES[table],
+                ) as out:  # fmt: skip
                     for chunk in gathered((b for _, path in segments for b in batches_of(path)), schema, 1 << 20):
                         out.write_table(chunk)
                 with part.open("rb") as file:

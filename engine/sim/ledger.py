@@ -83,8 +83,7 @@ class Ledger:
             return
         for table, rows in self._pending.items():
             columns: dict[str, Any] = {}
-            for i, (name, kind) in enumerate(TABLES[table].items()):
-                values = [r[i] for r in rows]
+            for (name, kind), values in zip(TABLES[table].items(), zip(*rows, strict=True), strict=True):
                 columns[name] = np.array(values, _NUMPY[kind]) if kind in _NUMPY else values
             self.recorder.write(table, columns)
         self._pending.clear()

@@ -177,10 +177,7 @@ class Timed:
         plan = view.search.through(view, "time", budget, DETOUR_WITHIN)
         if not plan.found:
             return plan, memory
-        return (
-            Plan(plan.status, plan.edges, plan.what, plan.starts, plan.ends, plan.energy_mj, plan.expanded, DETOUR),
-            memory,
-        )
+        return plan._replace(note=DETOUR), memory
 
     def timed(self, view: View, legs: Sequence[I32]) -> Plan:
         """Times for the edges of every leg, with its stay at the end."""
