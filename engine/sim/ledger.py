@@ -84,7 +84,7 @@ class Ledger:
         for table, rows in self._pending.items():
             columns: dict[str, Any] = {}
             for (name, kind), values in zip(TABLES[table].items(), zip(*rows, strict=True), strict=True):
-                columns[name] = np.array(values, _NUMPY[kind]) if kind in _NUMPY else values
+                columns[name] = np.array(values, _NUMPY[kind]) if kind in _NUMPY else list(values)
             self.recorder.write(table, columns)
         self._pending.clear()
 
