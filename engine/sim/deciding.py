@@ -97,8 +97,9 @@ def read_marks(sim: Simulation, before: int = FOREVER) -> bool:
     later = [mark for mark in marks if mark[0] >= before]
     sink.marks[: len(later)] = sink.marks[n - len(later) : n]
     sink.filled[3] = len(later)
-    marks = marks[: n - len(later)]
-    for tick, v, bit, order in marks:
+    news = False
+    for tick, v, bit, order in marks[: n - len(later)]:
+        news |= bit != PICKED
         if bit == PICKED:
             sim.book.state[order] = int(OrderState.PICKED)
             order_row(sim, order, tick)
@@ -119,7 +120,7 @@ def read_marks(sim: Simulation, before: int = FOREVER) -> bool:
                 recovery.fail(sim, v)
         elif bit == STALLED:
             recovery.unlock(sim, v)
-    return any(mark[2] != PICKED for mark in marks)
+    return news
 
 
 def order_done(sim: Simulation, tick: int, v: int, order: int) -> None:
@@ -249,7 +250,7 @@ def dispatch(sim: Simulation) -> None:
             break
         refresh_view(sim)
     for order, reason in refused.items():
-        if order in sim.book.open:
+        if sim.reasons.get(order) != reason and order in sim.book.open:
             refuse(sim, order, reason)
     if hungry:
         charging(sim)
@@ -292,13 +293,12 @@ def give(sim: Simulation, a: Assignment) -> PlanStatus:
 
 
 def refuse(sim: Simulation, order: int, reason: str) -> None:
-    """Remember why an order waits, and say so once; that nobody is free is no news."""
+    """Remember why an order waits now, and say so; that nobody is free is no news."""
     if reason == NOBODY_FREE and order in sim.reasons:
         return
-    if sim.reasons.get(order) != reason:
-        sim.reasons[order] = reason
-        if reason != NOBODY_FREE:
-            sim.say("order waits", f"order {order}: {reason}", 0, NONE, order)
+    sim.reasons[order] = reason
+    if reason != NOBODY_FREE:
+        sim.say("order waits", f"order {order}: {reason}", 0, NONE, order)
 
 
 def check_done(sim: Simulation) -> None:

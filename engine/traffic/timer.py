@@ -183,10 +183,8 @@ class Timed:
         """Times for the edges of every leg, with its stay at the end."""
         r, g = view.request, view.graph
         driven = np.concatenate(legs)
-        asked = np.array(
-            [(len(way), leg.stay_ticks, int(leg.what), int(leg.loaded)) for way, leg in zip(legs, r.legs, strict=True)],
-            np.int32,
-        )
+        asked = np.array(r.legs, np.int32)  # place, stay ticks, activity, loaded
+        asked[:, 0] = [len(way) for way in legs]
         n = len(driven) + len(asked)
         edges, starts, ends = (np.empty(n, np.int32) for _ in range(3))
         what = np.empty(n, np.int8)
