@@ -103,7 +103,8 @@ class Ledger:
         }
 
     def restore(self, plain: Mapping[str, Any]) -> None:
-        """Undo `to_plain`."""
+        """Undo `to_plain`; rows since the beginning are forgotten."""
+        self._new.clear()
         self.rows = {**dict.fromkeys(TABLES, 0), **plain["rows"]}
         self._chain = bytes.fromhex(plain["chain"])
         self._lanes = {name: np.array(lane, np.uint64) for name, lane in plain["lanes"].items()}
