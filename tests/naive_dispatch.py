@@ -21,6 +21,14 @@ def time_of(work: Any, vehicle: int, route: list[int], exits: list[int]) -> int:
     return clock
 
 
+def free_rests(
+    near: list[int], holder: list[int], blocked: list[int], chargers: list[int], vehicle: int, only: bool, count: int
+) -> list[int]:
+    """The first rest places that are the vehicle's own or nobody's, and not blocked; with `only`, chargers alone."""
+    free = [p for p in near if holder[p] in (-1, vehicle) and not blocked[p]]
+    return [p for p in free if chargers[p] or not only][:count]
+
+
 def schedules(vehicles: int, orders: int, exits: int) -> Iterator[list[tuple[list[int], list[int]]]]:
     """Every way to give all orders to the vehicles, in every sequence and by every exit; (route, exits) per vehicle."""
     for row in permutations(range(orders)):

@@ -1,6 +1,7 @@
-"""Insertion of orders into vehicles' sequences, and free rest places, compiled. Sequences are chains: node N + r stands for vehicle r.
+"""Insertion of orders into vehicles' sequences, and free rest places, compiled.
 
-Allocates nothing in its rounds but what it is given. Its slow twin is in tests/naive_dispatch.py.
+Sequences are chains: node N + r stands for vehicle r. Allocates nothing in its rounds but what it is given. Its slow
+twin is in tests/naive_dispatch.py.
 """
 
 from __future__ import annotations

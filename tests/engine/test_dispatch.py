@@ -7,8 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from engine.build import build
+from engine.dispatch.kernels import free_rests
 from engine.dispatch.levels import Levels
 from engine.dispatch.nearest import Nearest
 from engine.orders.book import OrderBook
@@ -16,7 +19,7 @@ from engine.orders.sources import Listed, Poisson
 from engine.results.runlog import MemoryLog
 from engine.scenario import parse
 from engine.types import FOREVER, NONE, Activity, OrderState, Task
-from tests import naive
+from tests import naive, naive_dispatch
 from tests.strategies import HALL, LOOP, scenario_text
 
 MIX = [([1, 2], [3], 3.0), ([3], [1, 2], 1.0)]
@@ -285,3 +288,18 @@ def test_two_vehicles_never_book_one_place() -> None:
         assert len(homes) == len(set(homes))
         assert all(sim.holder[h] == v for v, h in enumerate(sim.home.tolist()) if h != NONE)
         assert {int(v) for v in sim.holder if v != NONE} <= set(range(4))
+
+
+@given(data=st.data(), vehicle=st.integers(0, 3), only=st.booleans(), count=st.integers(0, 6))
+@settings(max_examples=60, deadline=None)
+def test_free_rest_places_are_those_of_the_slow_twin(data: st.DataObject, vehicle: int, only: bool, count: int) -> None:
+    places = 8
+    near = data.draw(st.permutations(range(places)))
+    holder, blocked, chargers = (
+        data.draw(st.lists(st.integers(low, high), min_size=places, max_size=places))
+        for low, high in ((NONE, 3), (0, 1), (0, 1))
+    )
+    out = np.empty(count, np.int32)
+    flags = (np.array(a, np.uint8) for a in (blocked, chargers))
+    n = free_rests(np.array(near, np.int32), np.array(holder, np.int32), *flags, vehicle, only, out)
+    assert out[:n].tolist() == naive_dispatch.free_rests(near, holder, blocked, chargers, vehicle, only, count)
