@@ -139,11 +139,7 @@ class Fleet:
         c, p = self.claims, self.steps
         gap = int(lift(c, p, v, int(self.here[v]), 0, int(self.count[v])))
         view = self.ground.view(Ask(self.state[v], 0, 0, legs))
-        view = type(view)(
-            **{f: getattr(view, f) for f in view.__slots__ if f not in ("claims", "request")},
-            claims=c,
-            request=type(view.request)(v, self.state[v], gap, 0, 0, legs),
-        )
+        view = view._replace(claims=c, request=view.request._replace(vehicle=v, gap=gap))
         plan = self.ground.search.through(view, "time", Budget())
         if not plan.found:
             put_back(c, p, v, int(self.here[v]), 0, int(self.count[v]))
