@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.planners.kernels.cbs_low import FOUND, NONE, SPENT, Roads, bits_of, slot_at
 from engine.planners.kernels.heap import drop_first, push
 from engine.planners.kernels.tables import FAR
@@ -47,7 +47,7 @@ def new_pair_work(nodes: int, steps: int) -> PairWork:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _steps_of(r: Roads, h: I64, cls: int, goal: int, s: int, to: I32, cost: I64) -> int:
     """Where a vehicle may be after a tick, and at what cost; the number of states stands for rest at its goal."""
     rest = len(r.place)
@@ -67,7 +67,7 @@ def _steps_of(r: Roads, h: I64, cls: int, goal: int, s: int, to: I32, cost: I64)
     return n
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _reach(q, bits, count, size, key, g, h):  # type: ignore[no-untyped-def]
     """Enter a pair unless it was reached as cheaply; (nodes, size of the heap)."""
     at, mask = slot_at(key, bits), len(q.slot) - 1
@@ -87,7 +87,7 @@ def _reach(q, bits, count, size, key, g, h):  # type: ignore[no-untyped-def]
     return count, size
 
 
-@njit(cache=True, nogil=True)
+@lean
 def pair_cost(
     r: Roads, q: PairWork, h: I64, cls: I32, start: I32, goal: I32, i: int, j: int, limit: int, out: I64
 ) -> int:  # fmt: skip
