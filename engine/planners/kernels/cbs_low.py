@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.compiled import lean
+from engine.compiled import lean, lean_inline
 from engine.planners.kernels.heap import drop_first, push
 from engine.planners.kernels.tables import FAR
 from engine.types import FOREVER
@@ -116,13 +116,13 @@ class Layers(NamedTuple):
     size: I64  # nodes, stamp, last tick, first tick at which a way ends
 
 
-@lean
+@njit(cache=True, nogil=True)
 def slot_at(key, bits):  # type: ignore[no-untyped-def]
     """Home of a key in a table of 2**bits slots."""
     return np.int64((np.uint64(key) * np.uint64(11400714819323198485)) >> np.uint64(64 - bits))
 
 
-@lean
+@njit(cache=True, nogil=True)
 def bits_of(size):  # type: ignore[no-untyped-def]
     """log2 of a table's size, a power of two."""
     bits = 0
@@ -254,7 +254,7 @@ def forbid_place(k: Bans, place: int, tick: int, goal: int) -> None:
         k.con[FREE_FROM] = max(k.con[FREE_FROM], tick + 1)
 
 
-@njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@lean_inline
 def _forbidden(k: Bans, stamp: int, key: int, bits: int) -> bool:
     at = slot_at(key, bits)
     mask = len(k.key) - 1
@@ -336,7 +336,7 @@ def _rules(r: Roads, k: Bans, goal: int) -> Rules:
     return Rules(c[STAMP], c[LAST], c[MARKS], c[CLOSED], c[BY], bits_of(len(k.key)), _tables(r, k, goal))
 
 
-@njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@lean_inline
 def _allowed(k: Bans, rule: Rules, u: int, v: int, t: int) -> bool:
     """Whether the constraints let one go from place u to place v, arriving at tick t."""
     if t <= rule.last:
@@ -395,7 +395,7 @@ def add_other(place: I32, o: Others, states: I32, first: int, length: int) -> bo
     return fits
 
 
-@njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@lean_inline
 def _meets(o: Others, they: int, filled: int, ticks: int, u: int, v: int, t: int) -> int:
     """How many others one meets going from place u at tick t to place v. they, filled, ticks: of o.num."""
     n = len(o.rest)
@@ -521,7 +521,7 @@ def search(
     return ended
 
 
-@njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+@lean_inline
 def _slot(w: Work, key: int, stamp: int, bits: int) -> int:
     """Where the best node of a key is kept; a new slot holds node -1."""
     at = slot_at(key, bits)
