@@ -23,3 +23,9 @@ def lean_inline(function: F) -> F:
     """The same, and always a part of whoever calls it: for a few lines in the innermost loop."""
     options: Any = {"cache": True, "nogil": True, "forceinline": True, "_nrt": False}
     return cast(F, njit(**options)(function))
+
+
+def lean_part(function: F) -> F:
+    """The same for a part of one caller, apart only to be read: compiled with it, once, and not a second time alone."""
+    options: Any = {"cache": True, "nogil": True, "inline": "always", "_nrt": False}
+    return cast(F, njit(**options)(function))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.compiled import lean
+from engine.compiled import lean, lean_part
 from engine.planners.kernels.cbs_low import (
     BY,
     FEW,
@@ -333,7 +333,7 @@ def _ways_within(r: Roads, k: Bans, c: Case, t: Tree, m: Layers, rec: int, cap: 
     return fits
 
 
-@lean
+@lean_part
 def _know_single(r: Roads, k: Bans, c: Case, t: Tree, m: Layers, rec: int) -> None:
     """Find at which ticks all cheapest ways of a record's vehicle are at one place."""
     if t.way[rec, SEEN]:
@@ -551,7 +551,7 @@ def weighted_cover(weight: I64, mark: I32, value: I64, stack: I32) -> int:
     return total
 
 
-@lean
+@lean_part
 def _cover_bound(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, how: int) -> int:
     """Lower bound of the extra cost that a node's conflicts force (unit costs); -1 when the work is spent before.
 
@@ -638,7 +638,7 @@ def _priority(c: Case, t: Tree, d: Desk, node: int, agent: int, tick: int) -> fl
     return c.weights[0] * c.mass[agent] + c.weights[1] * left - c.weights[2] * d.met[agent] / most
 
 
-@lean
+@lean_part
 def _choose(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, node: int, opt: I64) -> int:
     """Index of the conflict to resolve: cardinal before semi-cardinal before others, then the earliest."""
     if opt[CARDINAL] == 0:
@@ -693,7 +693,7 @@ def _push_open(t: Tree, node: int, opt: I64) -> None:
         t.num[WAITING] = push(t.key[WAIT_LIST], t.item[WAIT_LIST], t.num[WAITING], t.worth[node, COST], node)
 
 
-@lean
+@lean_part
 def _new_child(r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, opt: I64, cut: I64) -> int:
     """A child with one more constraint, its ways replanned. Returns its number, -1 without a plan, -2 for no room."""
     child = np.int64(t.num[NODES])
@@ -743,7 +743,7 @@ def _chosen(t: Tree, node: int) -> None:
     t.num[TURNS] += 1
 
 
-@lean
+@lean_part
 def _raised(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, opt: I64) -> int:
     """Know a node's least extra cost. FOUND when it now stands elsewhere in the open list, or is pruned; else NONE.
 
@@ -769,7 +769,7 @@ def _raised(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
     return FOUND
 
 
-@lean
+@lean_part
 def _branch(t: Tree, d: Desk, node: int, k: int, low: int, opt: I64) -> None:
     """The constraints that resolve a conflict, into d.cut: (2, 5) vehicle, kind, place, place2, tick of each child.
 
@@ -801,7 +801,7 @@ def _branch(t: Tree, d: Desk, node: int, k: int, low: int, opt: I64) -> None:
     second[0], second[1], second[2], second[3], second[4] = two, kind, p2, q2, tick
 
 
-@lean
+@lean_part
 def _bypassed(t: Tree, node: int, kid: int, own: int) -> bool:
     """Whether a child has the node's cost and fewer conflicts; the node then takes the child's ways."""
     same = t.worth[kid, COST] == t.worth[node, COST] and t.worth[kid, PROVEN] == t.worth[node, PROVEN]
@@ -818,7 +818,7 @@ def _bypassed(t: Tree, node: int, kid: int, own: int) -> bool:
     return True
 
 
-@lean
+@lean_part
 def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, opt: I64) -> int:
     """Resolve one conflict of a node. FULL when there is no room, SPENT when the work is: nothing has happened then."""
     while True:
@@ -866,7 +866,7 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
 # --- the loop --------------------------------------------------------------------------------------------------------
 
 
-@lean
+@lean_part
 def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32, kept: int) -> int:
     """Vehicles one after another in an order, earlier ones being obstacles; a better plan becomes the incumbent.
 
@@ -917,7 +917,7 @@ def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32, kept: 
     return FULL if ended == FULL else FOUND
 
 
-@lean
+@lean_part
 def _root(r: Roads, w: Work, c: Case, t: Tree, d: Desk, opt: I64) -> int:
     """Every vehicle for itself."""
     t.num[RECS], t.num[ARENA], t.num[NODES] = 0, 0, 0
