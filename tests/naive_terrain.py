@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import heapq
 import math
+from time import process_time
 from typing import Any
+
+from engine.planners.kernels import adstar as kernel
 
 INF = 2**30
 SMALL = """
@@ -213,3 +216,40 @@ class NaiveAdStar:
     @property
     def cost(self) -> float:
         return self.rhs.get(self.start, math.inf)
+
+
+def main() -> None:
+    """Prints CPU times of both on the same ground, of the first way and of all passes."""
+    from engine.build import terrain_costs
+    from engine.studies.zhang2021 import ground_of, robot_of, search_on, world_of
+
+    robot = robot_of({})
+    world = world_of(ground_of("bumps", 1, 16.0))
+    costs = terrain_costs(world, robot, "energy")
+    search_on(world, costs, robot).best()  # compiles
+    search = search_on(world, costs, robot)
+    begun = process_time()
+    search.restart()
+    route = search.best()
+    fast_s = process_time() - begun
+    goal = int(search.now[kernel.GOAL])
+    graph = Graph(costs.cluster.end, costs.cost, world.width)
+    shape = int(search.now[kernel.FORM])
+
+    def h(a: int, b: int) -> int:
+        (ya, xa), (yb, xb) = divmod(a // 16, world.width), divmod(b // 16, world.width)
+        return kernel.between.py_func(search.lattice, shape, xa, ya, xb, yb)
+
+    begun = process_time()
+    slow = NaiveAdStar(graph, search.start, [goal * 16 + i for i in range(16)], h, 2.5)
+    slow.compute()
+    for epsilon in (2.0, 1.5, 1.0):
+        slow.next_pass(epsilon)
+        slow.compute()
+    slow_s = process_time() - begun
+    assert slow.cost == route.cost
+    print(f"Python {slow_s:.2f} s, compiled {1e3 * fast_s:.2f} ms from ε = 2.5 to 1: {slow_s / fast_s:.0f} times")
+
+
+if __name__ == "__main__":
+    main()

@@ -145,6 +145,13 @@ class Search:
         """True when there is nothing left to do until something changes."""
         return self.solved and self.epsilon == 1
 
+    def frontier(self) -> tuple[I32, I32]:
+        """States in OPEN and in INCONS, each once, ascending."""
+        size, held = int(self.now[kernel.SIZE]), int(self.now[kernel.HELD])
+        waiting, later = self.open.items[:size], self.open.incons[:held]
+        counts = self.node[waiting, kernel.KEY] == self.open.keys[:size]
+        return np.unique(waiting[counts]), np.unique(later[(self.node[later, kernel.WORD] & kernel.IN_INCONS) > 0])
+
     def restart(self, epsilon: float | None = None) -> None:
         """Plan anew."""
         self.now[kernel.EPS] = round(EXACT * (self.options.epsilon if epsilon is None else epsilon))

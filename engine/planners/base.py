@@ -215,6 +215,10 @@ class AnytimeSearch(Protocol):
         """States expanded since the beginning."""
         ...
 
+    def frontier(self) -> tuple[I32, I32]:
+        """States that wait to be expanded, in this pass and in the next one."""
+        ...
+
     def work(self, budget: int) -> Route | None:
         """Expand at most so many states; a way when a pass is done with that."""
         ...

@@ -84,6 +84,18 @@ TABLES: dict[str, dict[str, str]] = {
         "busy_ms": I32,  # held
         "expected_ms": I32,  # of a router that learns; else the arc's own time
     },
+    # Every pass of an anytime search that brought something new, with what it left to do; its way is in `plans`.
+    "searches": {
+        "tick": I32,
+        "vehicle": I32,
+        "bound": I32,  # thousandths: the way costs at most so many times the least; 0 without a way
+        "cost": I64,  # of the way, in mJ or mm by the objective; -1 without a way
+        "expanded": I32,  # states, since the row before
+        "open": I32,  # states in OPEN
+        "incons": I32,  # states in INCONS
+        "open_places": LIST,  # their cells, thinned to at most THINNED
+        "incons_places": LIST,
+    },
     # What is still open: the running interval of every vehicle, and its counters, at a tick.
     "keyframes": {
         "tick": I32,
@@ -94,6 +106,8 @@ TABLES: dict[str, dict[str, str]] = {
         "orders_done": I32,
     },
 }
+
+THINNED = 4000
 
 OUTSIDE_DIGEST: dict[str, frozenset[str]] = {"plans": frozenset({"cpu_us"})}
 """Columns that may differ between two equal runs."""

@@ -327,7 +327,10 @@ def _battery_to_goals(scenario: Scenario, world: World, demand: DemandModel | No
 
 
 def _battery(scenario: Scenario, world: World, demand: DemandModel | None) -> Iterator[Finding]:
-    """The longest order, from the farthest charger and on to the nearest one, against full minus reserve."""
+    """The longest order, from the farthest charger and on to the nearest one, against full minus reserve.
+
+    An order that the battery serves from its nearest charger alone is a warning, not an error.
+    """
     model = demand or _own_demand(scenario)
     if model is None:
         text = f"not checked: energy of demand model {scenario.energy.demand!r} was not given"
@@ -337,29 +340,44 @@ def _battery(scenario: Scenario, world: World, demand: DemandModel | None) -> It
     if legs is None:
         yield Finding("warning", "battery", "not checked: no order is possible on this floor")
         return
-    energy_j = sum(leg_energy_j(scenario, world, model, leg) for leg in legs)
-    service_s = scenario.service.pick_s + scenario.service.drop_s
-    energy_j += model.standby_w * service_s
-    capacity_j = scenario.battery.capacity_wh * J_PER_WH
     usable = scenario.charging.full - scenario.charging.reserve
-    needed = energy_j / capacity_j
-    route = " → ".join(world.place_name(p) for p in dict.fromkeys([legs[0].start, *(leg.end for leg in legs)]))
-    text = (
-        f"the longest order, {route}, takes {needed:.1%} of a battery; {usable:.1%} is there between "
-        f"charging.full and charging.reserve"
-    )
-    if needed > usable:
-        yield Finding("error", "battery", f"{text}: it can never be served", legs[-1].start)
-    elif needed > 0.9 * usable:
-        yield Finding("warning", "battery", f"{text}: waiting on the way may use up the rest", legs[-1].start)
-    else:
+    there = f"{usable:.1%} is there between charging.full and charging.reserve"
+    needed, route = order_share(scenario, world, model, legs), _route(world, legs)
+    text = f"the longest order, {route}, takes {needed:.1%} of a battery; {there}"
+    if needed <= 0.9 * usable:
         yield Finding("ok", "battery", text)
+        return
+    if needed <= usable:
+        yield Finding("warning", "battery", f"{text}: waiting on the way may use up the rest", legs[-1].start)
+        return
+    near = longest_order(scenario, world, from_nearest=True) or legs
+    least = order_share(scenario, world, model, near)
+    if least <= usable:
+        advice = f"a vehicle that charged at {world.place_name(legs[0].start)} can't take it"
+        text = f"{text}: {advice}; from the nearest charger, {_route(world, near)}, an order takes {least:.1%} at most"
+        yield Finding("warning", "battery", text, legs[-1].start)
+        return
+    text = f"the longest order, {_route(world, near)}, takes {least:.1%} of a battery; {there}: it can never be served"
+    yield Finding("error", "battery", text, near[-1].start)
 
 
-def longest_order(scenario: Scenario, world: World) -> list[Leg] | None:
+def order_share(scenario: Scenario, world: World, model: DemandModel, legs: list[Leg]) -> float:
+    """Part of a battery that an order's legs and its service take."""
+    energy_j = sum(leg_energy_j(scenario, world, model, leg) for leg in legs)
+    energy_j += model.standby_w * (scenario.service.pick_s + scenario.service.drop_s)
+    return energy_j / (scenario.battery.capacity_wh * J_PER_WH)
+
+
+def _route(world: World, legs: list[Leg]) -> str:
+    """Places of an order's legs: `C1 at (0, 0) → I1 at (2, 1) → …`."""
+    return " → ".join(world.place_name(p) for p in dict.fromkeys([legs[0].start, *(leg.end for leg in legs)]))
+
+
+def longest_order(scenario: Scenario, world: World, *, from_nearest: bool = False) -> list[Leg] | None:
     """Legs of the longest order: from the charger farthest from it, with the load, on to the nearest charger.
 
-    Without chargers, from the farthest parking bay, and no last leg. None when no order has two reachable ends.
+    from_nearest: begin at the nearest charger instead · without chargers, from a parking bay, and no last leg.
+    None when no order has two reachable ends.
     """
     pairs = order_pairs(scenario, world)
     rest = world.chargers if len(world.chargers) else world.parking
@@ -371,15 +389,16 @@ def longest_order(scenario: Scenario, world: World) -> list[Leg] | None:
     to_rest = _distances(ticks.T.tocsr(), rest.tolist())
     from_origin = dict(zip(origins, _distances(ticks, origins), strict=True))
     has_charger = bool(len(world.chargers))
+    first = from_rest.argmin(axis=0) if from_nearest else from_rest.argmax(axis=0)
     best: tuple[float, int, int] | None = None
     for a, b in pairs:
-        total = float(from_rest[:, a].max() + from_origin[a][b] + (to_rest[:, b].min() if has_charger else 0.0))
+        total = float(from_rest[first[a], a] + from_origin[a][b] + (to_rest[:, b].min() if has_charger else 0.0))
         if np.isfinite(total) and (best is None or total > best[0]):
             best = (total, a, b)
     if best is None:
         return None
     _, a, b = best
-    legs = [_leg(world, int(rest[from_rest[:, a].argmax()]), a, False), _leg(world, a, b, True)]
+    legs = [_leg(world, int(rest[first[a]]), a, False), _leg(world, a, b, True)]
     if has_charger:
         legs.append(_leg(world, b, int(rest[to_rest[:, b].argmin()]), False))
     return legs

@@ -20,6 +20,7 @@ from engine.energy import Battery
 from engine.energy.terrain_costs import BLOCKED, TerrainCosts
 from engine.errors import BadInput, InvariantBroken, RunError
 from engine.planners.base import AnytimeSearch, Route
+from engine.results.schema import THINNED
 from engine.scenario.model import Scenario
 from engine.sim import checkpoint, ground_commands
 from engine.sim.commands import Answer, Refused, values_of
@@ -34,6 +35,7 @@ from engine.world.terrain import TerrainWorld, disc
 _PLAIN = (
     "tick", "half", "state", "k", "t0", "t1", "kind", "cause", "task", "began", "next", "goal_cell", "charge", "rest",
     "sampled", "distance", "paused", "failed", "stranded", "done", "commands", "published",
+    "counted",
 )  # fmt: skip
 _SHOWN: dict[int, VehicleState] = {
     Activity.WAIT: VehicleState.WAITING,
@@ -90,6 +92,7 @@ class Roaming:
         self.states, self.ks = np.array([self.state], np.int32), np.zeros(0, np.int32)
         self.next = 0  # step of the way that is driven next
         self.published: list[float] = [0.0, 0.0]  # ε and cost of the plan last written to the log
+        self.counted = 0  # expansions up to then
         self.sample_every = max(1, ticks_from_s(parts.scenario.log.sample_s, self.tick_s))
         self.eye = disc(parts.world.sensor_m / parts.world.grain_m)
         self.blocked = np.zeros(self.graph.n_places, np.uint8)
@@ -201,6 +204,12 @@ class Roaming:
             "plans", self.tick, 0, self.task, NONE, note, place, starts, out, first, end,
             route.cost + (end - first) * self.parts.standby_mj if route.found else 0, expanded, cpu_us,
         )  # fmt: skip
+        waiting, later = self.search.frontier()
+        self.ledger.row(
+            "searches", self.tick, 0, round(1000 * news[0]), int(news[1]), self.search.expanded - self.counted,
+            len(waiting), len(later), _thinned(waiting), _thinned(later),
+        )  # fmt: skip
+        self.counted = self.search.expanded
 
     def times(self, route: Route) -> tuple[list[int], int]:
         """Ticks at which the places of a way are left or, the last, reached."""
@@ -421,7 +430,7 @@ class Roaming:
             self.believed = fresh
         self.parts = parts
         self.search = parts.search_of(self.believed, self.after(), self.goal_cell)
-        self.published = [0.0, 0.0]
+        self.published, self.counted = [0.0, 0.0], 0
         self.say("forked", f"from here on: {parts.scenario.planner.name}, seed {parts.seed}")
 
     # ---------------------------------------------------------------- checkpoints
@@ -465,3 +474,9 @@ class Roaming:
         self.search.restore(memory)
         self.sink.filled[:] = 0
         self.ledger.restore(plain["ledger"])
+
+
+def _thinned(states: NDArray[np.int32]) -> list[int]:
+    """Cells of states, each once; of too many, every so manieth."""
+    cells = np.unique(states // HEADINGS)
+    return list(cells[:: -(-len(cells) // THINNED) or 1].tolist())

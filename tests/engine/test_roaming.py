@@ -79,6 +79,30 @@ def test_it_sees_what_the_map_does_not_say_and_repairs_its_plan() -> None:
     assert int(plans["tick"][-1]) > int(plans["tick"][0])
 
 
+def test_every_published_pass_is_logged_with_what_it_left_to_do() -> None:
+    sim = run(made())
+    log = sim.log.table("searches")
+    plans = sim.log.table("plans")
+    assert log["tick"].tolist() == plans["tick"].tolist()
+    assert log["bound"][0] == 2500
+    assert (log["bound"][-1], log["open"][0] > 0) == (1000, True)
+    assert 0 < log["expanded"].sum() <= sim.search.expanded
+    cells, ends = log["open_places"]
+    for i, n in enumerate(log["open"].tolist()):
+        part = cells[ends[i] : ends[i + 1]].tolist()
+        assert min(n, 1) <= len(part) == len(set(part)) <= n
+
+
+def test_the_frontier_is_the_states_whose_two_costs_differ() -> None:
+    sim = made()
+    while sim.search.work(50) is None:
+        pass
+    assert [len(part) > 0 for part in sim.search.frontier()] == [True, True]
+    rows = sim.search.node
+    differ = np.flatnonzero(rows[:, 0] != rows[:, 1])
+    assert np.union1d(*sim.search.frontier()).tolist() == differ.tolist()
+
+
 def test_what_it_drives_at_last_is_the_cheapest_way_when_it_knows_the_ground() -> None:
     """On a known map nothing is to be repaired: the energy drawn is the cost of the last plan."""
     sim = run(made(SMALL.replace("hills = 4", 'hills = 4\nprior = "full"'), **{"planner.parameters.epsilon": 1.0}))
