@@ -125,7 +125,7 @@ def view_parts(manager: RunManager, run_id: str, time_s: float | None, parts: li
 
 
 def add_run_routes(server: FastAPI, manager: RunManager) -> None:
-    """Runs: list, start, look into, command, fork, rename, delete."""
+    """Runs: list, start, command, fork, rename, delete."""
 
     @server.get("/healthz")
     def healthz() -> Response:
@@ -154,62 +154,6 @@ def add_run_routes(server: FastAPI, manager: RunManager) -> None:
     @server.get("/api/runs/{run_id}")
     def status(run_id: str) -> Response:
         return answer(manager.status(run_id))
-
-    @server.get("/api/runs/{run_id}/floor")
-    def floor(run_id: str) -> Response:
-        return answer(manager.read(run_id, lambda view: view.world.floor_json()))
-
-    @server.get("/api/runs/{run_id}/frame")
-    def frame(run_id: str, t: Seconds = None) -> Response:
-        manager.folder(run_id)
-        worker = manager.worker(run_id)
-        if t is None and worker is not None:
-            if not worker.frame:
-                return answer({"error": f"the run is starting: {worker.status.get('phase', '')}"}, 503)
-            data = worker.frame
-        else:
-            data = replay_frame(manager, run_id, t)
-        return Response(data, 200, NO_STORE, "application/octet-stream")
-
-    @server.get("/api/runs/{run_id}/routes")
-    def routes(run_id: str, t: Seconds = None) -> Response:
-        tick_s = float(manager.manifest(run_id)["tick_s"])
-        return answer(manager.read(run_id, lambda view: view.routes(ticks_of(view, tick_s, t))))
-
-    @server.get("/api/runs/{run_id}/power")
-    def power(run_id: str, t: Seconds = None) -> Response:
-        tick_s = float(manager.manifest(run_id)["tick_s"])
-        watts = manager.read(run_id, lambda view: view.power(ticks_of(view, tick_s, t)))
-        return answer({"values": [None if math.isnan(value) else round(value, 1) for value in watts.tolist()]})
-
-    @server.get("/api/runs/{run_id}/heat")
-    def heat(run_id: str, kind: str = "occupancy", t0: Seconds = None, t1: Seconds = None) -> Response:
-        from engine.results.view import HEATS
-
-        if kind not in HEATS:
-            raise BadInput(f"a heat map of {', '.join(HEATS)} was expected; got {kind[:40]!r}")
-        tick_s = float(manager.manifest(run_id)["tick_s"])
-
-        def ask(view: RunView) -> Any:
-            return view.heat(kind, ticks_of(view, tick_s, t0 or 0.0), ticks_of(view, tick_s, t1))
-
-        return answer({"kind": kind, "values": manager.read(run_id, ask)})
-
-    @server.get("/api/runs/{run_id}/arcs")
-    def arcs(run_id: str, t0: Seconds = None, t1: Seconds = None) -> Response:
-        tick_s = float(manager.manifest(run_id)["tick_s"])
-
-        def ask(view: RunView) -> Any:
-            return view.arcs(ticks_of(view, tick_s, t0 or 0.0), ticks_of(view, tick_s, t1))
-
-        return answer(manager.read(run_id, ask))
-
-    @server.get("/api/runs/{run_id}/view")
-    def view(run_id: str, t: Seconds = None, parts: str = "fleet,orders,chargers,events,kpis") -> Response:
-        wanted = [part for part in parts.split(",") if part]
-        if unknown := [part for part in wanted if part not in PARTS]:
-            raise BadInput(f"parts of {', '.join(PARTS)} were expected; got {unknown[0][:40]!r}")
-        return answer(view_parts(manager, run_id, t, wanted))
 
     @server.post("/api/runs/{run_id}/command")
     def command(run_id: str, asked: Json) -> Response:
@@ -246,6 +190,84 @@ def add_run_routes(server: FastAPI, manager: RunManager) -> None:
     def delete(run_id: str) -> Response:
         manager.delete(run_id)
         return answer({"run_id": run_id})
+
+
+def add_moment_routes(server: FastAPI, manager: RunManager) -> None:
+    """What a run looks like at an instant: its floor, a frame, routes, power, what the panels show."""
+
+    @server.get("/api/runs/{run_id}/floor")
+    def floor(run_id: str) -> Response:
+        return answer(manager.read(run_id, lambda view: view.world.floor_json()))
+
+    @server.get("/api/runs/{run_id}/frame")
+    def frame(run_id: str, t: Seconds = None) -> Response:
+        manager.folder(run_id)
+        worker = manager.worker(run_id)
+        if t is None and worker is not None:
+            if not worker.frame:
+                return answer({"error": f"the run is starting: {worker.status.get('phase', '')}"}, 503)
+            data = worker.frame
+        else:
+            data = replay_frame(manager, run_id, t)
+        return Response(data, 200, NO_STORE, "application/octet-stream")
+
+    @server.get("/api/runs/{run_id}/routes")
+    def routes(run_id: str, t: Seconds = None) -> Response:
+        tick_s = float(manager.manifest(run_id)["tick_s"])
+        return answer(manager.read(run_id, lambda view: view.routes(ticks_of(view, tick_s, t))))
+
+    @server.get("/api/runs/{run_id}/power")
+    def power(run_id: str, t: Seconds = None) -> Response:
+        tick_s = float(manager.manifest(run_id)["tick_s"])
+        watts = manager.read(run_id, lambda view: view.power(ticks_of(view, tick_s, t)))
+        return answer({"values": [None if math.isnan(value) else round(value, 1) for value in watts.tolist()]})
+
+    @server.get("/api/runs/{run_id}/view")
+    def view(run_id: str, t: Seconds = None, parts: str = "fleet,orders,chargers,events,kpis") -> Response:
+        wanted = [part for part in parts.split(",") if part]
+        if unknown := [part for part in wanted if part not in PARTS]:
+            raise BadInput(f"parts of {', '.join(PARTS)} were expected; got {unknown[0][:40]!r}")
+        return answer(view_parts(manager, run_id, t, wanted))
+
+
+def add_span_routes(server: FastAPI, manager: RunManager) -> None:
+    """What a run has come to over a time: heat maps, arcs, the ground seen so far."""
+
+    @server.get("/api/runs/{run_id}/heat")
+    def heat(run_id: str, kind: str = "occupancy", t0: Seconds = None, t1: Seconds = None) -> Response:
+        from engine.results.view import HEATS
+
+        if kind not in HEATS:
+            raise BadInput(f"a heat map of {', '.join(HEATS)} was expected; got {kind[:40]!r}")
+        tick_s = float(manager.manifest(run_id)["tick_s"])
+
+        def ask(view: RunView) -> Any:
+            return view.heat(kind, ticks_of(view, tick_s, t0 or 0.0), ticks_of(view, tick_s, t1))
+
+        return answer({"kind": kind, "values": manager.read(run_id, ask)})
+
+    @server.get("/api/runs/{run_id}/arcs")
+    def arcs(run_id: str, t0: Seconds = None, t1: Seconds = None) -> Response:
+        tick_s = float(manager.manifest(run_id)["tick_s"])
+
+        def ask(view: RunView) -> Any:
+            return view.arcs(ticks_of(view, tick_s, t0 or 0.0), ticks_of(view, tick_s, t1))
+
+        return answer(manager.read(run_id, ask))
+
+    @server.get("/api/runs/{run_id}/ground")
+    def ground(run_id: str, t: Seconds = None, since: int = 0, way: int = -2, frontier: bool = False) -> Response:
+        from engine.results.ground import ground_of
+
+        tick_s = float(manager.manifest(run_id)["tick_s"])
+
+        def ask(view: RunView) -> Any:
+            known = ground_of(view)
+            if known is None:
+                raise BadInput(f"run {run_id} is on a floor; a run on terrain was expected")
+            return known.told(ticks_of(view, tick_s, t), since, way, frontier)
+
+        return answer(manager.read(run_id, ask))
 
 
 def add_scenario_routes(server: FastAPI, library: Library) -> None:
@@ -549,6 +571,8 @@ def install(server: FastAPI, manager: RunManager, viewer_cache: Path) -> None:
     """Adds every route; what is unknown below /api answers 404 rather than a page."""
     add_error_answers(server)
     add_run_routes(server, manager)
+    add_moment_routes(server, manager)
+    add_span_routes(server, manager)
     add_compare_routes(server, manager)
     add_scenario_routes(server, manager.scenarios)
     add_file_routes(server, manager, viewer_cache)

@@ -64,6 +64,8 @@ def measure(*, quick: bool = False, say: Say = print) -> dict[str, Any]:
     results: list[Measured] = []
     with tempfile.TemporaryDirectory(prefix="wattlane-bench-") as scratch:
         folder = Path(scratch)
+        say("Building floors …")
+        results += floors()
         say("Simulation speed, log and recording …")
         results += simulation(folder, hours=1 if quick else 8)
         say("Replay …")
@@ -115,6 +117,20 @@ def simulation(root: Path, hours: float) -> list[Measured]:
         Measured("plan, median CPU", plans[len(plans) // 2] / 1000.0, "ms"),
         Measured("plan, 95th percentile CPU", (tee.planner_p95_ms or 0.0), "ms"),
     ]
+
+
+def floors() -> list[Measured]:
+    """CPU time from a scenario to its world and motion graph, on a floor of ten thousand cells."""
+    from app import runner
+
+    asked = runner.asked_scenario(LARGE, {})
+    spent = []
+    for _ in range(5):
+        begin = time.process_time()
+        world = runner.world_of(asked)
+        spent.append(time.process_time() - begin)
+    name = f"floor of {world.cells.size:,} cells built, median CPU"
+    return [goal_at_most(name, statistics.median(spent), "s", 1)]
 
 
 def replay(root: Path) -> list[Measured]:

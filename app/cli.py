@@ -133,7 +133,10 @@ def _settings(
 def _serve(settings: Settings, page_path: str | None) -> None:
     import logging
 
+    from app.settings import use_kernel_cache
+
     logging.basicConfig(level=logging.WARNING, format="wattlane: %(message)s")
+    use_kernel_cache()  # lessons search in this process
     from app.server import serve
 
     try:
@@ -148,9 +151,13 @@ def _serve(settings: Settings, page_path: str | None) -> None:
 @app.command()
 def run(
     scenario: Annotated[str, typer.Argument(help="Scenario: a built-in or imported name, or a TOML file.")],
-    planner: Annotated[str | None, typer.Option("--planner", help="Planner.")] = None,
+    planner: Annotated[
+        str | None, typer.Option("--planner", help="Planner: prioritized, quickest, aco …; `?` names all.")
+    ] = None,
     objective: Annotated[str | None, typer.Option("--objective", help="What plans minimise: time or energy.")] = None,
-    dispatcher: Annotated[str | None, typer.Option("--dispatcher", help="Who takes which order.")] = None,
+    dispatcher: Annotated[
+        str | None, typer.Option("--dispatcher", help="Who takes which order: nearest, insertion …")
+    ] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override, such as fleet.count=12.")
     ] = None,
@@ -164,12 +171,12 @@ def run(
     as_json: JsonOption = False,
     data: DataOption = None,
 ) -> None:
-    """Run a scenario without a dashboard, as fast as it goes, and judge it."""
+    """Run a scenario as fast as it goes, and judge it."""
     from app import runner
     from app.library import Library
     from app.settings import scenarios_folder, use_kernel_cache, writable
 
-    first = use_kernel_cache()
+    use_kernel_cache()
     chosen = {} if dispatcher is None else {"dispatch.policy": dispatcher}
     asked = runner.asked_scenario(
         scenario,
@@ -184,7 +191,7 @@ def run(
 
     root_folder = out.expanduser().resolve() if out else data_folder(data) / "runs"
     folder = runner.prepare(Catalogue(writable(root_folder)), asked, name=checked_name(name))
-    if first:
+    if use_kernel_cache(runner.kernel_mark(asked)):
         say(COMPILING)
     going = runner.Run.new(folder, rerun=rrd)
     _finish(going, end_tick, as_json)
@@ -197,7 +204,7 @@ def resume(
     as_json: JsonOption = False,
     data: DataOption = None,
 ) -> None:
-    """Go on with an interrupted, failed or stopped run from its last checkpoint."""
+    """Go on with a run from its last checkpoint. It was interrupted, failed, or was stopped."""
     from app import runner
     from app.runs import RESUMABLE
     from app.settings import use_kernel_cache
@@ -206,7 +213,8 @@ def resume(
     status = _catalogue_entry(folder)["status"]
     if status not in RESUMABLE:
         raise RunError(f"run {folder.name} is {status} and can't be resumed")
-    if use_kernel_cache():
+    use_kernel_cache()
+    if use_kernel_cache(runner.kernel_mark(runner.scenario_of(folder))):
         say(COMPILING)
     going = runner.Run.resume(folder)
     _finish(going, _end_tick(going.scenario, until), as_json)
@@ -229,6 +237,7 @@ def _end_tick(scenario: Scenario, until: str | None) -> int | None:
 def _finish(going: Run, end_tick: int | None, as_json: bool) -> None:
     """Drives a run to its end with a progress bar, closes it, and prints what came of it."""
     from app.progress import drive
+    from app.runner import kernel_mark
     from app.settings import kernels_compiled
 
     gc.freeze()  # modules and kernels stay: nothing to look through again and again
@@ -236,7 +245,7 @@ def _finish(going: Run, end_tick: int | None, as_json: bool) -> None:
     if status == "stopped":
         say(f"Stopped at tick {going.sim.tick}; `wattlane resume {going.folder.name}` goes on.")
     summary = going.close(status)
-    kernels_compiled()
+    kernels_compiled(kernel_mark(going.scenario))
     if as_json:
         put_json(summary)
     else:
@@ -254,16 +263,26 @@ def summary_text(summary: dict[str, Any]) -> str:
     breaches = summary["breaches"]
     verdict = "not judged" if breaches is None else "legal" if not breaches else f"{breaches} breaches"
     rate = summary["sim_s"] / summary["wall_s"] if summary["wall_s"] else 0.0
+    ways = summary["metrics"].get("ways_beside")
     lines = [
         f"{summary['scenario']} · {summary['planner']} · seed {summary['seed']} · {summary['run_id']}",
         f"  simulated {clock(summary['sim_s'])} in {summary['wall_s']:.1f} s ({rate:,.0f}×)",
         f"  orders    {summary['orders_done']} of {summary['orders_created']} done · stranded {summary['stranded']}",
         f"  energy    {summary['energy_j'] / 3600:,.1f} Wh",
+        *([] if ways is None else [f"  ways      {ways_text(ways)}"]),
         f"  judge     {verdict}",
         f"  digest    {summary['digest']}",
         f"  folder    {summary['run_dir']}",
     ]
     return "\n".join(lines)
+
+
+def ways_text(ways: dict[str, Any]) -> str:
+    """A router's ways beside other methods', for a person."""
+    if not ways["ways"]:
+        return "none to compare"
+    told = [f"{name} {one['length_m']:.1f} m in {one['cpu_ms']:.2f} ms" for name, one in ways["methods"].items()]
+    return f"{' · '.join(told)} (mean length, median CPU of the first {ways['ways']})"
 
 
 def overrides_of(pairs: list[str]) -> dict[str, object]:
@@ -408,11 +427,13 @@ def judge(
     as_json: JsonOption = False,
     data: DataOption = None,
 ) -> None:
-    """Judge a recorded run or a plan file: every rule, by code that shares nothing with the planners."""
+    """Judge a recorded run or a plan file. Every rule is worked out anew, by code that shares nothing with planners."""
     from app import runner
 
     if Path(what).expanduser().is_file():
         verdict = _judged_plan(Path(what).expanduser())
+    elif what.endswith(".json"):
+        raise BadInput(f"{what}: there is no such file")
     else:
         folder = find_run(what, data)
         scenario = runner.scenario_of(folder)
@@ -472,7 +493,7 @@ def validate(
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override.")] = None,
     data: DataOption = None,
 ) -> None:
-    """Check a scenario: its form, its floor, its energy; says what fails, where, and what was expected."""
+    """Check a scenario: form, floor, energy. Says what fails, where, and what was expected."""
     from app import runner
     from app.library import Library
     from app.settings import scenarios_folder
@@ -525,7 +546,7 @@ def solve(
     from app.settings import kernels_compiled, use_kernel_cache
     from engine.units import seconds
 
-    solving.checked_trace(trace)
+    solving.check_targets(out, trace)
     asked = solving.Asked(
         map_file,
         scen_file,
@@ -622,7 +643,8 @@ def main(arguments: list[str] | None = None) -> int:
         say(f"wattlane: {sentence(error)}")
         return BAD_INPUT
     except _usage_errors() as error:
-        say(f"wattlane: {error.format_message()} (`wattlane --help` lists what there is)")
+        context = getattr(error, "ctx", None)
+        say(f"wattlane: {error.format_message()} (see `{context.command_path if context else 'wattlane'} --help`)")
         return BAD_INPUT
     return code if isinstance(code, int) else DONE
 

@@ -23,7 +23,7 @@ def compare(
         Path | None, typer.Option("--data", help="Folder for runs (also WATTLANE_DATA).", show_default="per user")
     ] = None,
 ) -> None:
-    """Compare runs of one scenario and seed: what each came to, where their motions part."""
+    """Compare runs of one scenario and seed. Tells what each came to, and where their motions part."""
     from app import comparing
     from app.cli import find_run, put, put_json
     from engine.errors import BadInput

@@ -43,6 +43,8 @@ class Stage(StrEnum):
     OCCUPANCY = "occupancy-graph"
     THROUGHPUT = "throughput-graph"
     ENERGY = "energy-graph"
+    POWER = "power-graph"
+    ANYTIME = "anytime-graph"
     BANDS = "bands-graph"
     RESERVATIONS = "reservations-graph"
     RESERVATIONS_NOTE = "reservations-note"
@@ -50,6 +52,19 @@ class Stage(StrEnum):
     ORDERS = "orders-grid"
     CHARGERS = "chargers-grid"
     FLEET = "fleet-grid"  # *
+    WAYS = "ways-grid"
+
+
+class Ground3D(StrEnum):
+    """The window with the ground in three dimensions."""
+
+    DIALOG = "ground3d"  # *
+    ASKED = "ground3d-asked"  # *
+    HEIGHTS = "ground3d-heights"  # *
+    AGAIN = "ground3d-again"
+    NOTE = "ground3d-note"  # *
+    HOST = "ground3d-host"  # *
+    GRAPH = "ground3d-graph"  # *
 
 
 class Start(StrEnum):
@@ -120,6 +135,7 @@ class Compare(StrEnum):
     PLANNERS = "compare-planners"
     SEED = "compare-seed"
     LENGTH = "compare-length"
+    CHANGES = "compare-changes"
     START = "compare-start"
     ERROR = "compare-error"
 

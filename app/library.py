@@ -202,7 +202,7 @@ class Library:
                 fleet=scenario.fleet.count,
                 planner=scenario.planner.name,
                 paper=scenario.paper,
-                instance=is_instance(scenario),
+                instance=is_instance(scenario) and scenario.floor.kind != "terrain",
             )
 
         found: Entry = self._kept("entry", name, make)
@@ -270,16 +270,20 @@ class Library:
     def floor(self, name: str) -> dict[str, Any]:
         """World.floor_json, with the `trips` of an instance; of a very large instance the letters alone."""
         scenario = self.load(name)
-        large = is_instance(scenario) and sum(map(len, scenario.floor.drawing())) > PLACES_SENT
+        ground = scenario.floor.kind == "terrain"
+        large = not ground and is_instance(scenario) and sum(map(len, scenario.floor.drawing())) > PLACES_SENT
         floor = letters_of(scenario) if large else self.world(name).floor_json()
         return {**floor, "trips": trips_of(scenario)}
 
     def thumb(self, name: str) -> dict[str, Any]:
         """The floor's letters, thinned out where it is large: {cells (bottom row first), width, height}.
 
-        Of a network its ends in metres: {nodes: [x, y, kind], arcs: [x, y, x, y], width, height}.
+        Of a network its ends in metres: {nodes: [x, y, kind], arcs: [x, y, x, y], width, height}. Of terrain also
+        heights and cell_m, as in World.floor_json.
         """
         scenario = self.load(name)
+        if scenario.floor.kind == "terrain":
+            return relief(scenario)
         return sketch(scenario) if scenario.floor.kind == "network" else thinned(scenario.floor.drawing())
 
     def findings(self, name: str) -> list[dict[str, Any]]:
@@ -328,7 +332,9 @@ class Library:
             "planner": scenario.planner.name,
             "objective": scenario.planner.objective,
             "planners": planners_of(scenario),
-            "floor": letters_of(scenario) if is_instance(scenario) else _world(scenario).floor_json(),
+            "floor": letters_of(scenario)
+            if is_instance(scenario) and scenario.floor.kind != "terrain"
+            else _world(scenario).floor_json(),
             "trips": trips_of(scenario),
         }
 
@@ -509,6 +515,16 @@ def sketch(scenario: Scenario) -> dict[str, Any]:
         "width": round(x1 - x0, 3),
         "height": round(y1 - y0, 3),
     }
+
+
+def relief(scenario: Scenario) -> dict[str, Any]:
+    """Terrain as `thinned` does drawings, with its heights as engine.world.terrain.packed gives them."""
+    from engine.world.terrain import packed
+
+    rows, plan = scenario.floor.drawing(), scenario.terrain_plan()
+    step = -(-max(len(rows), len(rows[0])) // THUMB_SIDE)
+    heights = packed(plan.terrain.height_m[::step, ::step])
+    return {**thinned(rows), "cell_m": scenario.floor.cell_m * step, "heights": heights}
 
 
 def thinned(rows: tuple[str, ...]) -> dict[str, Any]:

@@ -169,10 +169,12 @@ def asked_scenario(
 
 def checked(scenario: Scenario) -> Scenario:
     """The scenario with its planner's own objective. Raises ScenarioError when a part is unknown or doesn't fit."""
-    from engine.build import fitted
+    from engine.build import check_parameters, fitted
 
     check_names(scenario)
-    return fitted(scenario)
+    found = fitted(scenario)
+    check_parameters(found)
+    return found
 
 
 def check_names(scenario: Scenario) -> None:
@@ -497,12 +499,15 @@ class Run:
         return ""
 
     def _summary(self, status: str, digest: str, wall_s: float) -> dict[str, Any]:
+        from app.ways_beside import WaysBeside
         from engine.build import beside_costs
         from engine.results.metrics import metrics
         from engine.results.runlog import LogReader
 
-        beside = beside_costs(self.scenario, self.sim.world)
-        measured = metrics(LogReader(self.folder), beside=beside)
+        reader = LogReader(self.folder)
+        measured = metrics(reader, beside=beside_costs(self.scenario, self.sim.world))
+        if (ways := WaysBeside.of(self.scenario, self.sim.world)) is not None:
+            measured["ways_beside"] = ways.told(ways.queries(reader))
         counters = self.sim.metrics()
         return {
             "scenario": self.scenario.name,
@@ -536,8 +541,17 @@ def simulation(scenario: Scenario, point: Checkpoint | None, tee: Tee) -> Simula
     return build(scenario, recorder=tee, clock_ns=time.thread_time_ns)
 
 
-def warm_up(scenario: Scenario) -> None:
-    """Compiles every kernel that a run of this scenario calls, by running a short one that nobody sees."""
+def kernel_mark(scenario: Scenario) -> str:
+    """The mark in the cache of kernels for what a live run of this scenario calls: others may call more."""
+    planner = scenario.planner
+    return "-".join(("live", scenario.floor.kind, planner.name, planner.objective, scenario.dispatch.policy))
+
+
+def warm_up(scenario: Scenario, *, few: bool = False) -> None:
+    """Compiles every kernel that a run of this scenario calls, by running a short one that nobody sees.
+
+    few: only its planner's and its dispatcher's, since those of commands are there.
+    """
     from app.settings import kernels_compiled
     from engine import traffic
     from engine.build import build
@@ -559,12 +573,15 @@ def warm_up(scenario: Scenario) -> None:
         {"do": "repair", "vehicle": 0},
         {"do": "charge", "vehicle": 0},
     ]
-    for command in said:
+    for command in there if few else said:
         sim.advance(WARM_UP_TICKS)
         sim.submit(command)
     sim.advance(WARM_UP_TICKS)
     sim.snapshot()
     sim.flush()
+    kernels_compiled(kernel_mark(scenario))
+    if few:
+        return
     if scenario.floor.kind == "terrain":
         kernels_compiled()
         return

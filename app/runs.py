@@ -27,6 +27,7 @@ from app.settings import Settings
 from engine.errors import BadInput, CommandError, RunError, WattlaneError, unknown_name
 
 if TYPE_CHECKING:
+    from app.ways_beside import WaysBeside
     from engine.results.runs import Catalogue
     from engine.results.view import RunView
     from engine.scenario import Scenario
@@ -37,6 +38,8 @@ ANSWER_TIMEOUT_S = 30.0
 CLOSE_TIMEOUT_S = 20.0
 VIEWS_KEPT = 8
 REFRESH_S = 0.4
+WAYS_S = 0.3
+"""CPU time that searching a run's ways again may take at a time, so that no page waits for long."""
 LIVE_SPEEDS = (0.25, 64.0)
 OPEN_STATES = frozenset({"running"})
 RESUMABLE = frozenset({"interrupted", "failed", "stopped"})
@@ -217,6 +220,7 @@ class _Opened:
     lock: threading.RLock
     refreshed: float
     settled: bool  # the log is closed: it won't grow
+    ways: WaysBeside | None  # of a router that other methods stand beside
 
 
 class RunManager:
@@ -323,8 +327,21 @@ class RunManager:
         with opened.lock:
             return question(opened.view)
 
+    def ways_beside(self, run_id: str, until: float) -> dict[str, Any] | None:
+        """The ways that a run asked for until a tick, by its router and beside it; None for other planners.
+
+        Searches a few at a time: what is still missing comes with the next calls.
+        """
+        opened = self._opened(run_id)
+        if opened.ways is None:
+            return None
+        with opened.lock:
+            queries = opened.ways.queries(opened.view.reader, until)
+        return opened.ways.told(queries, WAYS_S)
+
     def _opened(self, run_id: str) -> _Opened:
         from app.runner import scenario_of, world_of
+        from app.ways_beside import WaysBeside
         from engine.build import beside_costs
         from engine.results.runlog import LogReader
         from engine.results.view import RunView
@@ -339,7 +356,8 @@ class RunManager:
             scenario = scenario_of(folder)
             world = world_of(scenario)
             view = RunView(LogReader(folder), scenario, world, beside_costs(scenario, world))
-            opened = _Opened(view, threading.RLock(), time.monotonic(), settled)
+            ways = WaysBeside.of(scenario, world)
+            opened = _Opened(view, threading.RLock(), time.monotonic(), settled, ways)
             with self._lock:
                 opened = self._views.setdefault(run_id, opened)
                 while len(self._views) > VIEWS_KEPT:

@@ -61,20 +61,27 @@ def planners() -> list[str]:
     return [*SOLVERS, *SEARCHES]
 
 
-def checked_trace(file: Path | None) -> None:
-    """Raises BadInput when a trace can't be written under this name."""
-    if file is not None and file.suffix not in TRACES:
-        raise BadInput(f"--trace: a file ending in {' or '.join(TRACES)} was expected, got {file.name!r}")
+def check_targets(out: Path | None, trace: Path | None) -> None:
+    """Raises BadInput when plan or trace can't be written under these names: before anything is searched."""
+    if trace is not None and trace.suffix not in TRACES:
+        raise BadInput(f"--trace: a file ending in {' or '.join(TRACES)} was expected, got {trace.name!r}")
+    for option, file in (("--out", out), ("--trace", trace)):
+        if file is not None and not file.absolute().parent.is_dir():
+            raise BadInput(f"{option}: the folder {file.absolute().parent} doesn't exist")
 
 
 def numbers(text: str, option: str) -> tuple[float, ...]:
     """Positive numbers separated by commas. Raises BadInput."""
+    return tuple(_above_zero(part, option, "numbers above 0 (such as 1000, or 2000,2200)") for part in text.split(","))
+
+
+def _above_zero(text: str, option: str, what: str) -> float:
     try:
-        found = tuple(float(part) for part in text.split(","))
-        if not all(0 < number < float("inf") for number in found):
+        found = float(text)
+        if not 0 < found < float("inf"):
             raise ValueError(text)
     except ValueError:
-        raise BadInput(f"{option}: numbers above 0 were expected, such as 1000 or 2000,2200; got {text!r}") from None
+        raise BadInput(f"{option}: expected {what}, got {text!r}") from None
     return found
 
 
@@ -83,7 +90,7 @@ def energies(pairs: Mapping[str, Any]) -> dict[str, float]:
     from engine.energy import parameter_sets, parameters_over
 
     parameters_over(parameter_sets.xu2025(), dict.fromkeys(pairs, 0.0), "xu2025")
-    return {name: numbers(str(text), f"--energy {name}")[0] for name, text in pairs.items()}
+    return {name: _above_zero(str(text), f"--energy {name}", "a number above 0") for name, text in pairs.items()}
 
 
 def read(asked: Asked) -> Instance:
@@ -185,7 +192,7 @@ def configured_planner(asked: Asked) -> tuple[Any, str, dict[str, Any]]:
         given["w"] = asked.w
     if not float(given.get("w", 1.0)) >= 1.0:
         raise BadInput(f"--w: a factor of at least 1 was expected, got {given['w']:g}")
-    planner = configured(cls, given)
+    planner = configured(cls, given, asked.planner)
     return planner, objective, {name: getattr(planner, name) for name in known}
 
 

@@ -42,6 +42,20 @@ COMPONENTS: dict[str, str] = {
 }
 """Colour of an energy component, by its name."""
 
+GROUND: dict[str, dict[str, str]] = {
+    LIGHT: {
+        "low": "#86b174", "mid": "#e0d49a", "high": "#b98556", "unseen-low": "#c9d0d9", "unseen-high": "#eef1f4",
+        "obstacle": "#3a434d", "hidden": "#98a2ad", "dropped": "#d32f2f", "way": "#0b57d0", "track": "#17202b",
+        "goal": "#c2185b", "robot": "#c2410c",
+    },
+    DARK: {
+        "low": "#3f7a57", "mid": "#96925f", "high": "#c99a6c", "unseen-low": "#2a323c", "unseen-high": "#59626d",
+        "obstacle": "#c3ccd6", "hidden": "#6f7883", "dropped": "#ff6b61", "way": "#7cc0ff", "track": "#f4f7fa",
+        "goal": "#ff8fc0", "robot": "#ffa94d",
+    },
+}  # fmt: skip
+"""Colours of terrain in three dimensions; those of the map stand in assets/web/terrain.css."""
+
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"
 
 GRAPH_CONFIG: dict[str, Any] = {

@@ -333,12 +333,13 @@ class LiveRun:
 def begin(arguments: argparse.Namespace, mail: Mailbox) -> Any:
     """The run, opened or begun; says what takes long."""
     first = use_kernel_cache()
-    mail.json({"type": "status", "phase": "compiling kernels, once" if first else "building"})
-    from app.runner import Run, scenario_of, warm_up
+    from app.runner import Run, kernel_mark, scenario_of, warm_up
 
-    if first:
-        warm_up(scenario_of(arguments.folder))
-        mail.json({"type": "status", "phase": "building"})
+    scenario = scenario_of(arguments.folder)
+    if first or use_kernel_cache(kernel_mark(scenario)):
+        mail.json({"type": "status", "phase": "compiling kernels, once"})
+        warm_up(scenario, few=not first)
+    mail.json({"type": "status", "phase": "building"})
     if arguments.mode == "resume":
         mail.json({"type": "status", "phase": "reading the last checkpoint"})
         return Run.resume(arguments.folder)

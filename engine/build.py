@@ -119,7 +119,7 @@ def classes_of(scenario: Scenario) -> Any:
 def planner_of(name: str, scenario: Scenario) -> Any:
     """A lifelong planner with the scenario's parameters. Raises ScenarioError."""
     cls = find(PLANNERS, "planner", name)
-    chosen = _configured(cls, scenario, name == scenario.planner.name)
+    chosen = _configured(cls, scenario, name)
     if hasattr(cls, "route"):
         from engine.traffic.timer import Timed
 
@@ -136,21 +136,22 @@ def team_of(scenario: Scenario) -> tuple[Any, Any]:
     name = scenario.planner.name
     if scenario.orders.source != "goals" or not _fits(SOLVERS, name, scenario):
         return planner_of(name, scenario), None
-    solver = _configured(find(SOLVERS, "planner", name), scenario, True)
+    solver = _configured(find(SOLVERS, "planner", name), scenario, name)
     from engine.planners.prioritized import Prioritized
 
     return Prioritized(scenario.planner.objective), solver
 
 
-def _configured(cls: Any, scenario: Scenario, own: bool) -> Any:
+def _configured(cls: Any, scenario: Scenario, name: str) -> Any:
+    """A planner with the scenario's parameters when it is the scenario's own, else with its defaults."""
     from dataclasses import fields
 
     from engine.planners.base import configured
 
-    parameters = dict(scenario.planner.parameters) if own else {}
+    parameters = dict(scenario.planner.parameters) if name == scenario.planner.name else {}
     if "objective" in {f.name for f in fields(cls)}:
         parameters.setdefault("objective", scenario.planner.objective)
-    return configured(cls, parameters)
+    return configured(cls, parameters, name)
 
 
 def planners_for(scenario: Scenario) -> list[str]:
@@ -182,12 +183,7 @@ def fitted(scenario: Scenario) -> Scenario:
         others = planners_for(scenario)
         known = f"expected {' or '.join(map(repr, others))}" if others else "no planner serves this scenario"
         raise ScenarioError(f"planner.name: {name!r} {why}; {known}")
-    objectives = find(registry, "planner", name).promise.objectives
-    if scenario.planner.objective in objectives:
-        return scenario
-    return scenario.model_copy(
-        update={"planner": scenario.planner.model_copy(update={"objective": objectives[0]})}
-    )  # fmt: skip
+    return _with_objective(scenario, registry)
 
 
 def _fitted_roaming(scenario: Scenario) -> Scenario:
@@ -202,12 +198,15 @@ def _fitted_roaming(scenario: Scenario) -> Scenario:
         wanted = " or ".join(map(repr, ROAMING))
         why = "plans on floors, and floor.kind is 'terrain'" if name in known else "is unknown"
         raise ScenarioError(f"planner.name: {name!r} {why}; expected {wanted}")
-    objectives = find(ROAMING, "planner", name).promise.objectives
+    return _with_objective(scenario, ROAMING)
+
+
+def _with_objective(scenario: Scenario, registry: Mapping[str, str]) -> Scenario:
+    """The scenario's objective, or the first one that its planner has."""
+    objectives = find(registry, "planner", scenario.planner.name).promise.objectives
     if scenario.planner.objective in objectives:
         return scenario
-    return scenario.model_copy(
-        update={"planner": scenario.planner.model_copy(update={"objective": objectives[0]})}
-    )  # fmt: skip
+    return scenario.model_copy(update={"planner": scenario.planner.model_copy(update={"objective": objectives[0]})})
 
 
 def _fits(registry: Mapping[str, str], name: str, scenario: Scenario) -> bool:
@@ -376,15 +375,31 @@ def terrain_search(options: Any, costs: Any, robot: Any, friction: float, start:
     )
 
 
+def roamer_of(scenario: Scenario) -> Any:
+    """The options of a robot's planner on terrain. Raises ScenarioError."""
+    from engine.planners.base import configured
+
+    name = scenario.planner.name
+    return configured(find(ROAMING, "planner", name), scenario.planner.parameters, name)
+
+
+def check_parameters(scenario: Scenario) -> None:
+    """Raises ScenarioError when planner or dispatcher don't take their parameters; makes nothing else of the run."""
+    if scenario.floor.kind == "terrain":
+        roamer_of(scenario)
+        return
+    team_of(scenario)
+    dispatcher_of(scenario, find(CHARGING, "charging policy", scenario.charging.policy)())
+
+
 def _ground_parts(scenario: Scenario) -> Any:
     """Everything that a run on terrain is made of."""
     from engine.orders.sources import NoOrders
-    from engine.planners.base import configured
     from engine.sim.roaming import GroundParts
     from engine.world.terrain import build_terrain
 
     world, robot = build_terrain(scenario.terrain_plan()), robot_of(scenario)
-    options = configured(find(ROAMING, "planner", scenario.planner.name), scenario.planner.parameters)
+    options = roamer_of(scenario)
     friction = min(1.0, float(world.terrain.friction.min()))
     heading = {"east": 0, "north": 4, "west": 8, "south": 12}
     start, (goal,) = start_places(scenario, world)[0], goal_places(scenario, world)
@@ -418,8 +433,9 @@ def dispatcher_of(scenario: Scenario, charging: Any) -> Any:
     """The scenario's dispatcher with its parameters. Raises ScenarioError."""
     from engine.planners.base import configured
 
-    cls = find(DISPATCHERS, "dispatcher", scenario.dispatch.policy)
-    return configured(cls, {"charging": charging, **scenario.dispatch.parameters})
+    name = scenario.dispatch.policy
+    cls = find(DISPATCHERS, "dispatcher", name)
+    return configured(cls, {"charging": charging, **scenario.dispatch.parameters}, name)
 
 
 def facing_of(

@@ -7,6 +7,10 @@ import math
 from time import process_time
 from typing import Any
 
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
+
 from engine.planners.kernels import adstar as kernel
 
 INF = 2**30
@@ -134,6 +138,22 @@ class Graph:
 
     def price(self, a: int, b: int) -> int:
         return self.cost.get((a, b), INF)
+
+
+def optimum(end: Any, cost: Any, columns: int, goal: int) -> Any:
+    """(S,) least cost from every state to any heading of a cell, by SciPy; inf where there is no way."""
+    s, k = np.nonzero(cost < INF)
+    dx, dy, to = np.moveaxis(end[s % 16, k], -1, 0)
+    there = (s // 16 + dy * columns + dx) * 16 + to
+    # one goal behind all headings of the goal's cell; of two trajectories between two states the cheaper
+    n = len(cost)
+    order = np.lexsort((cost[s, k], there, s))
+    s, k, there = s[order], k[order], there[order]
+    first = np.concatenate([[True], (s[1:] != s[:-1]) | (there[1:] != there[:-1])])
+    a = np.concatenate([there[first], np.full(16, n)])
+    b = np.concatenate([s[first], goal * 16 + np.arange(16)])
+    weight = np.concatenate([cost[s, k][first].astype(float), np.full(16, 1e-9)])
+    return np.round(scipy_dijkstra(csr_array((weight, (a, b)), shape=(n + 1, n + 1)), indices=n)[:n])
 
 
 def dijkstra(graph: Graph, goals: list[int]) -> list[int]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 TOML_SHOWN = 24_000
 """Letters of a scenario's text that the page shows; the download has all."""
+PRIORS = {"full": "the whole ground", "coarse": "a coarse map of the heights", "none": "nothing of the ground"}
 COUNTED = (("I", "inbound"), ("O", "outbound"), ("R", "racks"), ("C", "chargers"), ("P", "parking bays"))
 
 
@@ -85,6 +86,10 @@ def passport(scenario: Scenario, entry: Entry, about: Mapping[str, Any]) -> html
     letters = Counter("".join(floor.drawing()))
     there = ", ".join(f"{letters[letter]} {word}" for letter, word in COUNTED if letters[letter])
     driving = f"{floor.connectivity} neighbours, occupancy {floor.occupancy}, turning {scenario.motion.turning}"
+    ground = floor.terrain if floor.kind == "terrain" else None
+    if ground is not None:
+        driving = f"16 headings, trajectories {ground.cluster}, {scenario.motion.speed_mps:g} m/s"
+        there = on_ground(ground)
     if entry.nodes:
         driving = f"along lanes, occupancy {floor.occupancy}, turning on the spot at nodes"
     files = " and ".join(about.get("files") or ())
@@ -93,10 +98,12 @@ def passport(scenario: Scenario, entry: Entry, about: Mapping[str, Any]) -> html
             ("Floor", entry.size if entry.nodes else f"{entry.size} of {floor.cell_m:g} m"),
             ("On it", there),
             ("Motion", driving),
-            ("Fleet", f"{fleet.count} vehicles of {mass(scenario)} kg"),
+            ("Knows beforehand", PRIORS[ground.prior] if ground else None),
+            ("Sees", f"{ground.sensor_m:g} m around itself" if ground else None),
+            ("Fleet", f"{'1 robot' if ground else f'{fleet.count} vehicles'} of {mass(scenario)} kg"),
             ("Orders", orders(scenario)),
             ("Planner", f"{scenario.planner.name}, least {scenario.planner.objective}"),
-            ("Dispatcher", scenario.dispatch.policy),
+            ("Dispatcher", None if ground else scenario.dispatch.policy),
             ("Energy", f"{scenario.energy.demand}, {battery.capacity_wh:g} Wh {battery.model}"),
             ("Seed", str(scenario.seed)),
             ("Paper", scenario.paper),
@@ -105,6 +112,14 @@ def passport(scenario: Scenario, entry: Entry, about: Mapping[str, Any]) -> html
             ("Imported", str(about.get("imported", ""))[:16].replace("T", " ")),
         ]
     )
+
+
+def on_ground(ground: Any) -> str:
+    """What there is on terrain, in words."""
+    if ground.heights is not None:
+        return "heights from a map"
+    hills = f"{ground.generator}, seed {ground.seed}: {ground.hills} hills of up to {ground.hills_m:g} m"
+    return f"{hills}, {ground.obstacles} obstacles, {ground.rough} rough patches"
 
 
 def mass(scenario: Scenario) -> str:
@@ -116,6 +131,8 @@ def mass(scenario: Scenario) -> str:
 def orders(scenario: Scenario) -> str:
     """Where the work comes from, in words."""
     given = scenario.orders
+    if scenario.floor.kind == "terrain":
+        return "none: the robot has one goal"
     if is_instance(scenario):
         return "none: every vehicle has one goal"
     if given.source == "listed":

@@ -7,6 +7,8 @@ from typing import Any
 
 import dash_ag_grid as dag
 
+from app.components.basics import energy
+
 Record = Mapping[str, Any]
 
 
@@ -107,6 +109,43 @@ def events_grid(grid_id: str) -> dag.AgGrid:
     ]
     going = {name: ["wlGoToEvent(params)"] for name in ("cellDoubleClicked", "cellKeyDown")}
     return _grid(grid_id, columns, selectable=True, nothing="No events yet", eventListeners=going)
+
+
+def ways_grid(grid_id: str) -> dag.AgGrid:
+    """Ways that the search of a robot on terrain has published."""
+    columns = [
+        _formatted("Time", "time_s", "wlClock", width=95, minWidth=86, maxWidth=110),
+        _column("Why", "why", width=170),
+        _column("Bound", "bound", width=190, tip="What the way costs at most, of the least"),
+        _column("Cost of the way ahead", "cost", width=160, type="rightAligned"),
+        _column("Expanded", "expanded", width=110, type="rightAligned", tip="States expanded for it"),
+        _column("In all", "total", width=110, type="rightAligned", tip="States expanded until then"),
+        _column("OPEN", "open", width=100, type="rightAligned", tip="States left in OPEN"),
+        _column("INCONS", "incons", width=100, type="rightAligned", tip="States left in INCONS: for the next pass"),
+    ]
+    return _grid(grid_id, columns, nothing="No way is published yet")
+
+
+def way_rows(passes: Mapping[str, Any], objective: str) -> list[dict[str, Any]]:
+    """Rows of ways_grid from engine.results.ground.Ground.passes, newest first."""
+    rows, total = [], 0
+    for i, time_s in enumerate(passes["t_s"].tolist()):
+        bound, cost = float(passes["bound"][i]), float(passes["cost"][i])
+        total += int(passes["expanded"][i])
+        known = bound == bound  # not NaN
+        words = "no way is known" if not known else "optimal" if bound <= 1 else f"≤ {bound:g} × of the least"
+        rows.append(
+            {
+                "key": str(i),
+                "time_s": time_s,
+                "why": "repaired" if passes["repaired"][i] else "anew" if passes["anew"][i] else "bettered",
+                "bound": words,
+                "cost": "–" if not known else f"{cost:.2f} m" if objective == "distance" else energy(cost),
+                **{name: int(passes[name][i]) for name in ("expanded", "open", "incons")},
+                "total": total,
+            }
+        )
+    return rows[::-1]
 
 
 ACTIVE_ORDERS = ("open", "assigned", "picked")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from app.figures.base import MS, empty_figure, playhead, timed_figure
+from app.figures.base import MS, empty_figure, on_axis, playhead, timed_figure
 from app.theme import INK, LIGHT, STATE_WORDS, STATES, known_scheme
 
 BARS_UP_TO = 2500
@@ -68,7 +68,7 @@ def _bars(figure: go.Figure, table: Any, scheme: str) -> None:
         figure.add_bar(
             orientation="h",
             y=rows[:, 0],
-            base=rows[:, 1] * MS,
+            base=on_axis(rows[:, 1]),
             x=(rows[:, 2] - rows[:, 1]) * MS,
             width=0.85,
             name=word,
@@ -93,7 +93,7 @@ def _raster(figure: go.Figure, table: Any, vehicles: Any, t0_s: float, t1_s: flo
     steps = [[edge / n, colour] for k, colour in enumerate(colours) for edge in (k, k + 1)]
     words = np.asarray([*STATE_WORDS, ""], dtype=object)
     figure.add_heatmap(
-        x=middles * MS,
+        x=on_axis(middles),
         y=vehicles,
         z=grid,
         zmin=-0.5,

@@ -15,8 +15,13 @@ DAY_S = 86400.0
 
 
 def on_axis(time_s: ArrayLike) -> NDArray[np.float64]:
-    """Simulated seconds as the milliseconds since 1970 that a date axis takes: it then labels them as clock times."""
-    return np.asarray(time_s, np.float64) * MS
+    """Simulated seconds as the milliseconds since 1970 that a date axis takes: it then labels them as clock times.
+
+    A whole number of two or four digits would be read as a year: it becomes a quarter of a millisecond more.
+    """
+    ms = np.asarray(time_s, np.float64) * MS
+    year = ((ms >= 10) & (ms < 100)) | ((ms >= 1000) & (ms < 10_000))
+    return np.asarray(np.where(year & (ms == np.rint(ms)), ms + 0.25, ms))
 
 
 def timed_figure(name: str, t0_s: float, t1_s: float, scheme: str) -> go.Figure:
@@ -26,7 +31,7 @@ def timed_figure(name: str, t0_s: float, t1_s: float, scheme: str) -> go.Figure:
     figure.update_layout(template=template(scheme), uirevision=name, showlegend=False)
     figure.update_xaxes(
         type="date",
-        range=[t0_s * MS, max(t1_s, t0_s + 1) * MS],
+        range=on_axis([t0_s, max(t1_s, t0_s + 1)]).tolist(),
         tickformat="%-d %H:%M" if long else ("%H:%M:%S" if t1_s - t0_s < 600 else "%H:%M"),
         hoverformat="day %-d %H:%M:%S" if long else "%H:%M:%S",
         nticks=6 if t1_s - t0_s >= 600 else 4,  # labels with seconds are wide
@@ -41,8 +46,8 @@ def playhead(figure: go.Figure, time_s: float, scheme: str) -> None:
         type="line",
         xref="x",
         yref="paper",
-        x0=time_s * MS,
-        x1=time_s * MS,
+        x0=float(on_axis(time_s)),
+        x1=float(on_axis(time_s)),
         y0=0,
         y1=1,
         line={"color": ink["select"], "width": 1.5},

@@ -21,17 +21,21 @@ def comparing_figure(
     runs: Mapping[str, ArrayLike],
     *,
     unit: str = "",
+    nothing: str = "",
     parting_s: float | None = None,
     scheme: str = LIGHT,
 ) -> go.Figure:
     """t_s (m,) · runs: (m,) of each run by its letter, NaN where it has ended, the first one is compared with.
 
-    parting_s: where the runs part, marked by a thin line. The first shape is the moment shown, at 0 until it is moved.
+    nothing: what to say when every curve is zero throughout · parting_s: where the runs part, marked by a thin line.
+    The first shape is the moment shown, at 0 until it is moved.
     """
     times = np.asarray(t_s, np.float64)
     values = {letter: np.asarray(curve, np.float64) for letter, curve in runs.items()}
     if len(times) < 2 or times[-1] <= 0 or not values:
         return empty_figure(name, "Nothing is recorded yet", scheme)
+    if nothing and not any(np.nan_to_num(curve).any() for curve in values.values()):
+        return empty_figure(name, nothing, scheme)
     figure = timed_figure(name, 0.0, times[-1], scheme)
     x, base = on_axis(times), next(iter(values.values()))
     ink = INK[known_scheme(scheme)]
@@ -51,7 +55,7 @@ def comparing_figure(
             )
     playhead(figure, 0.0, scheme)
     if parting_s is not None:
-        when = parting_s * 1000.0
+        when = float(on_axis(parting_s))
         thin = {"color": ink["muted"], "width": 1, "dash": "dot"}
         figure.add_shape(type="line", xref="x", yref="paper", x0=when, x1=when, y0=0, y1=1, line=thin)
     figure.add_annotation(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from app.figures.base import MS, empty_figure, playhead, timed_figure
+from app.figures.base import MS, empty_figure, on_axis, playhead, timed_figure
 from app.theme import INK, LIGHT, SERIES, known_scheme
 
 BARS_UP_TO = 2500
@@ -67,7 +67,7 @@ def reservations_figure(
     figure.add_bar(
         orientation="h",
         y=y,
-        base=rows["t0"] * tick_s * MS,
+        base=on_axis(rows["t0"] * tick_s),
         x=(rows["t1"] - rows["t0"]) * tick_s * MS,
         width=0.8,
         marker={"color": colours.tolist(), "line": {"width": 0}},

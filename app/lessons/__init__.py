@@ -10,6 +10,7 @@ from app.lessons.base import Lesson
 LESSONS: dict[str, str] = {
     "search": "app.lessons.search:LESSON",
     "heuristics": "app.lessons.heuristics:LESSON",
+    "anytime": "app.lessons.anytime:LESSON",
     "tree": "app.lessons.tree:LESSON",
     "learned-time": "app.lessons.learned_time:LESSON",
     "motor": "app.lessons.motor:LESSON",

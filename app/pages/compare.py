@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
 import dash
@@ -27,20 +28,24 @@ from app.theme import LIGHT
 from engine.errors import BadInput, WattlaneError
 from engine.units import clock, seconds
 
+if TYPE_CHECKING:
+    from engine.studies.base import Beside
+
 POINTS = 400
 TICK_MS = 1500
 DEFAULT_LENGTH = "1h"
-FROM_STUDY: dict[str, dict[str, str]] = {
-    "lian2024": {"scenario": "lian2024", "planners": "stochastic,astar-turns,astar-distance,prioritized"},
-    "xu2025": {"scenario": "xu2025", "planners": "ecbs:energy,time-window:energy,prioritized:energy"},
-}
-"""What the start form is filled with when one comes from a study."""
 
 
-def start_address(study: str) -> str | None:
-    """The start form filled with a study's methods; None where they don't run in a scenario."""
-    known = FROM_STUDY.get(study)
-    return f"/compare?{urlencode(known, safe=':,')}" if known else None
+def start_address(runs: Beside) -> str:
+    """The start form filled with these runs."""
+    known = {
+        "scenario": runs.scenario,
+        "planners": ",".join(runs.planners),
+        "length": runs.length,
+        "seed": "" if runs.seed is None else str(runs.seed),
+        "set": "\n".join(f"{key} = {json.dumps(value)}" for key, value in runs.changes.items()),
+    }
+    return f"/compare?{urlencode({key: value for key, value in known.items() if value}, safe=':,')}"
 
 
 def layout(manager: RunManager, beside: Comparisons, query: Query) -> html.Div:
@@ -165,17 +170,19 @@ def _progress(letter: str, one: Side, status: Mapping[str, Any]) -> html.Div:
 def draw(curves: Mapping[str, Any], parting_s: float | None, scheme: str) -> list[Any]:
     """The three charts of the strip: orders, energy, waiting."""
     drawn = []
-    for key, small, large, least in (
-        ("orders_done", ("", 1.0), ("", 1.0), np.inf),
-        ("energy_j", ("kJ", 1e3), ("MJ", 1e6), 1e7),
-        ("waiting_s", ("s", 1.0), ("h", 3600.0), 7200.0),
+    for key, small, large, least, nothing in (
+        ("orders_done", ("", 1.0), ("", 1.0), np.inf, "No order is done in these runs"),
+        ("energy_j", ("kJ", 1e3), ("MJ", 1e6), 1e7, ""),
+        ("waiting_s", ("s", 1.0), ("h", 3600.0), 7200.0, "Nobody waits in these runs"),
     ):
         runs = {letter: np.asarray(run[key], np.float64) for letter, run in curves["runs"].items()}
         most = max((float(np.nanmax(run, initial=0.0)) for run in runs.values()), default=0.0)
         unit, scale = large if most > least else small
         scaled = {letter: run / scale for letter, run in runs.items()}
         drawn.append(
-            figures.comparing_figure(key, curves["t_s"], scaled, unit=unit, parting_s=parting_s, scheme=scheme)
+            figures.comparing_figure(
+                key, curves["t_s"], scaled, unit=unit, nothing=nothing, parting_s=parting_s, scheme=scheme
+            )
         )
     return drawn
 
@@ -223,6 +230,17 @@ def start_form(manager: RunManager, query: Query) -> html.Div:
                 value=query.get("length", DEFAULT_LENGTH),
                 size="xs",
             ),
+            dmc.Textarea(
+                id=Compare.CHANGES,
+                label="Other parameters, of all of them",
+                description="One per line, such as fleet.count = 20",
+                value=query.get("set", ""),
+                autosize=True,
+                minRows=1,
+                maxRows=8,
+                size="xs",
+                className="whole",
+            ),
             html.Div(id=Compare.ERROR, className="wl-error whole", role="alert"),
             dmc.Button("Start and compare", id=Compare.START, size="sm", className="whole"),
         ],
@@ -251,15 +269,20 @@ def chosen(asked: str | None, offered: Sequence[Mapping[str, str]], own: str) ->
     return found[:MOST]
 
 
-def start(manager: RunManager, scenario: str, wanted: Sequence[str], seed: Any, length: str) -> list[str]:
-    """Starts a run per planner, as fast as it goes; returns their ids. Raises WattlaneError before any is started."""
+def start(
+    manager: RunManager, scenario: str, wanted: Sequence[str], seed: Any, length: str, changes: str = ""
+) -> list[str]:
+    """Starts a run per planner, as fast as it goes; returns their ids. Raises WattlaneError before any is started.
+
+    changes: `key = value` lines over the scenario.
+    """
     from app import runner
 
     if not FEWEST <= len(wanted) <= MOST:
         raise BadInput(f"two to four planners were expected; got {len(wanted)}")
     until_s = seconds((length or "").strip())
     whole = int(seed) if seed not in (None, "") else None
-    overrides: dict[str, object] = {"time.until_s": until_s}
+    overrides: dict[str, object] = {**data.overrides_from(changes), "time.until_s": until_s}
     asked = [dict(zip(("planner", "objective"), one.partition(":")[::2], strict=True)) for one in wanted]
     for one in asked:
         checked = runner.asked_scenario(scenario, overrides, seed=whole, library=manager.scenarios, **one)
@@ -348,14 +371,17 @@ def register_form(app: dash.Dash, manager: RunManager) -> None:
         State(Compare.PLANNERS, "value"),
         State(Compare.SEED, "value"),
         State(Compare.LENGTH, "value"),
+        State(Compare.CHANGES, "value"),
         prevent_initial_call=True,
         running=[(Output(Compare.START, "loading"), True, False)],
     )
-    def begin(clicks: int | None, scenario: str, wanted: list[str] | None, seed: Any, length: str) -> tuple[Any, Any]:
+    def begin(
+        clicks: int | None, scenario: str, wanted: list[str] | None, seed: Any, length: str, changes: str
+    ) -> tuple[Any, Any]:
         if not clicks:
             return no_update, no_update
         try:
-            runs = start(manager, scenario, wanted or [], seed, length)
+            runs = start(manager, scenario, wanted or [], seed, length, changes)
         except WattlaneError as error:
             return str(error), no_update
         except OSError as error:

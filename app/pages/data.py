@@ -9,6 +9,7 @@ import numpy as np
 
 from app.figures.reservations import ribbon_rows
 from app.runs import RunManager
+from engine.results.ground import Ground, ground_of
 from engine.world.network import NetworkWorld
 
 POINTS = 240
@@ -56,6 +57,7 @@ class Told:
     end_s: float
     tick_s: float
     levels: dict[str, float]
+    ground: bool = False  # the run is on terrain
     values: dict[str, Any] = field(default_factory=dict)
 
 
@@ -71,18 +73,26 @@ def look(manager: RunManager, asked: Asked) -> Told:
         told.values["since_s"] = since * tick_s
         _side(view, at, asked, told)
         _tab(view, since, at, asked, told)
+        told.ground = ground_of(view) is not None
         told.values["blocked"] = blocked_places(view, at)
         told.values["chargers_out"] = [c["place"] for c in view.chargers(at) if c["state"] == "out of order"]
         if "marks" in asked.parts:
             told.values["marks"] = marks(view, end)
         return told
 
-    return manager.read(asked.run_id, ask)
+    told = manager.read(asked.run_id, ask)
+    if "kpis" in told.values:
+        told.values["ways"] = manager.ways_beside(asked.run_id, told.time_s / tick_s)
+    return told
 
 
 def _side(view: Any, at: float, asked: Asked, told: Told) -> None:
+    ground = ground_of(view)
     if asked.selection is None:
-        told.values["kpis"] = view.kpis(at)
+        if ground is None:
+            told.values["kpis"] = view.kpis(at)
+        else:
+            told.values["robot"] = robot(view, ground, at)
         return
     told.values["fleet"] = view.fleet(at)
     told.values["place_name"] = {}
@@ -92,10 +102,23 @@ def _side(view: Any, at: float, asked: Asked, told: Told) -> None:
         if isinstance(view.world, NetworkWorld):
             told.values["place_title"] = view.world.label(place)
             told.values["arc"] = arc(view, place, at) if view.world.arc_of(place) >= 0 else None
+        if ground is not None:
+            told.values["cell"] = ground.cell(place, at)
     if asked.selection["kind"] == "charger":
         told.values["chargers"] = view.chargers(at)
     if asked.selection["kind"] == "station":
         told.values["orders"] = view.orders(at)
+
+
+def robot(view: Any, ground: Ground, at: float) -> dict[str, Any]:
+    """A robot on terrain: its search, power in W, energy in J by component, and its record in the fleet."""
+    drawn = view.energy(0, at, 2)["components"]
+    return {
+        "search": ground.search(at),
+        "watts": ground.watts(at),
+        "energy": {name: float(values[-1]) for name, values in drawn.items()},
+        "record": view.fleet(at)[0],
+    }
 
 
 def arc(view: Any, place: int, at: float) -> dict[str, float]:
@@ -107,6 +130,13 @@ def arc(view: Any, place: int, at: float) -> dict[str, float]:
 def _tab(view: Any, since: float, at: float, asked: Asked, told: Told) -> None:
     values, tab = told.values, asked.tab
     if tab == "charts":
+        if (ground := ground_of(view)) is not None:
+            values["power"] = ground.power(since, at, POINTS)
+            values["passes"] = ground.passes(since, at)
+            values["objective"] = view.scenario.planner.objective
+            values["energy"] = view.energy(since, at, 120)
+            values["now_s"] = at * told.tick_s
+            return
         few = view.n <= LINES_FOR
         values["soc"] = view.soc(since, at, POINTS if few else 120)
         values["occupancy"] = view.occupancy(since, at, 120)
@@ -127,6 +157,9 @@ def _tab(view: Any, since: float, at: float, asked: Asked, told: Told) -> None:
     elif tab == "chargers":
         values["fleet"] = values.get("fleet") or view.fleet(at)
         values["chargers"] = view.chargers(at)
+    elif tab == "ways" and (ground := ground_of(view)) is not None:
+        values["passes"] = ground.passes(-1, at)
+        values["objective"] = view.scenario.planner.objective
     elif tab == "fleet":
         values["fleet"] = values.get("fleet") or view.fleet(at)
 

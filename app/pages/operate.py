@@ -16,7 +16,9 @@ from app.pages import data
 from app.pages import stage as stage_page
 from app.pages.base import Page, opened
 from app.runs import RunManager
+from engine.build import ROAMING
 from engine.errors import WattlaneError
+from engine.results.ground import ground_of
 
 LEVEL_NAMES = ("critical", "good", "sufficient", "full", "reserve")
 RUNS_SHOWN = 12
@@ -51,18 +53,20 @@ def layout(manager: RunManager, settings: Any, run_id: str | None) -> html.Div:
         )
     status = manager.status(run_id)
 
-    def read(view: Any) -> tuple[dict[str, float], float, list[dict[str, Any]]]:
-        stations = view.world.floor_json()["stations"]
-        return dict(view.thresholds(view.t_end)._asdict()), float(view.t_end), stations
+    def read(view: Any) -> tuple[dict[str, float], float, list[dict[str, Any]], bool]:
+        ground = ground_of(view) is not None
+        stations = [] if ground else view.world.floor_json()["stations"]
+        return dict(view.thresholds(view.t_end)._asdict()), float(view.t_end), stations, ground
 
-    levels, end, stations = manager.read(run_id, read)
+    levels, end, stations, ground = manager.read(run_id, read)
+    orders = ground_commands() if ground else commands(stations, levels, manager.scenario(run_id))
     left = [
         section("This run", passport(status), html.Div(lifecycle(status), className="wl-row")),
-        section("Commands", commands(stations, levels, manager.scenario(run_id))) if status["alive"] else None,
+        section("Commands", orders) if status["alive"] else None,
         section("Start a run", form, opened=not status["alive"]),
         section("Runs", html.Div(run_list(manager.list(), run_id), id=Operate.RUNS)),
     ]
-    return stage_page.layout(status, "operate", levels, left, end * float(status["tick_s"]))
+    return stage_page.layout(status, "operate", levels, left, end * float(status["tick_s"]), ground=ground)
 
 
 def passport(status: Mapping[str, Any]) -> html.Dl:
@@ -81,8 +85,8 @@ def passport(status: Mapping[str, Any]) -> html.Dl:
                 "Planner",
                 f"{status['planner']}, least {status['objective']}" if status.get("objective") else status["planner"],
             ),
-            ("Dispatcher", status.get("dispatcher")),
-            ("Fleet", f"{status['fleet']} vehicles"),
+            ("Dispatcher", None if status["planner"] in ROAMING else status.get("dispatcher")),
+            ("Fleet", "1 robot" if status["planner"] in ROAMING else f"{status['fleet']} vehicles"),
             ("Seed", str(status["seed"])),
             ("Forked from", origin),
             ("Run", html.Code(status["run_id"], style={"fontSize": "11px", "wordBreak": "break-all"})),
@@ -204,6 +208,16 @@ def commands(stations: Sequence[Mapping[str, Any]], levels: Mapping[str, float],
     )
 
 
+def ground_commands() -> html.Div:
+    """On terrain all commands are given on the map or with what is selected."""
+    hints = (
+        "On the map: right-click a cell (or press long) to drop or remove an obstacle, or to send the robot there; "
+        "right-click the robot to pause it or to let it break down.",
+        "The robot learns of an obstacle when it sees it, and repairs its way.",
+    )
+    return html.Div([html.P(hint, className="wl-hint") for hint in hints])
+
+
 KIND_OF_STATUS = {
     "running": "ok",
     "finished": "dim",
@@ -247,7 +261,7 @@ def started(manager: RunManager, values: Mapping[str, Any]) -> str:
     changes = {} if values["fleet"] in (None, "") else fleet_overrides(scenario, values["fleet"])
     if scenario.orders.source != GOALS and values["rate"] not in (None, "", scenario.orders.rate_per_h):
         changes["orders.rate_per_h"] = values["rate"]
-    if values["dispatcher"]:
+    if values["dispatcher"] and scenario.floor.kind != "terrain":
         changes["dispatch.policy"] = values["dispatcher"]
     overrides = {**changes, **overrides}
     seed = values["seed"]
@@ -273,8 +287,11 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         Output(Start.PLANNER, "value"),
         Output(Start.PLANNER, "data"),
         Output(Start.OBJECTIVE, "value"),
+        Output(Start.OBJECTIVE, "data"),
         Output(Start.DISPATCHER, "value"),
+        Output(Start.DISPATCHER, "style"),
         Output(Start.FLEET, "value"),
+        Output(Start.FLEET, "disabled"),
         Output(Start.SEED, "value"),
         Output(Start.RATE, "value"),
         Output(Start.RATE, "disabled"),
@@ -285,15 +302,17 @@ def register(app: dash.Dash, manager: RunManager) -> None:
     )
     def fill(name: str | None) -> Any:
         if not name:
-            return (no_update,) * 11
+            return (no_update,) * 14
         try:
             known = data.scenario_values(manager, name)
-            fits = list(manager.scenarios.planners(name))
+            served = manager.scenarios.planners(name)
         except WattlaneError as error:
-            return (*(no_update,) * 10, str(error))
+            return (*(no_update,) * 13, str(error))
         rate = known["orders.rate_per_h"]["value"]
         source = known["orders.source"]["value"]
         hidden = {"display": "none"} if source == GOALS else {}
+        ground = known["floor.kind"]["value"] == "terrain"  # one robot, and nobody to dispatch
+        no_dispatch = {"display": "none"} if ground else {}
         keys = html.Dl(
             [
                 part
@@ -304,7 +323,9 @@ def register(app: dash.Dash, manager: RunManager) -> None:
             style={"fontSize": "12px", "maxHeight": "220px", "overflow": "auto"},
         )
         planner, objective = known["planner.name"]["value"], known["planner.objective"]["value"]
-        first = (planner, fits, objective, known["dispatch.policy"]["value"], known["fleet.count"]["value"])
+        objectives = served.get(planner) or ["time", "energy"]
+        first = (planner, list(served), objective, objectives, known["dispatch.policy"]["value"], no_dispatch)
+        first = (*first, known["fleet.count"]["value"], ground)
         shown_rate = "" if rate is None else rate
         return (*first, known["seed"]["value"], shown_rate, source != "poisson", hidden, keys, None)
 

@@ -145,7 +145,7 @@ def shown(name: str, results: list[dict[str, Any]], record: Mapping[str, Any]) -
                         w=440,
                         label="Result shown",
                     ),
-                    html.Div([html.Span("Download"), *links, methods_link(name)], className="wl-row"),
+                    html.Div([html.Span("Download"), *links, methods_link(record)], className="wl-row"),
                 ],
                 className="wl-papers-bar",
             ),
@@ -167,10 +167,12 @@ def shown(name: str, results: list[dict[str, Any]], record: Mapping[str, Any]) -
     )
 
 
-def methods_link(name: str) -> Any:
+def methods_link(record: Mapping[str, Any]) -> Any:
     """To runs of a study's methods beside each other, where they run in a scenario."""
-    address = start_address(name)
-    return dcc.Link("Compare these methods", href=address, className="wl-button small") if address else None
+    from engine.studies.base import beside, study
+
+    runs = beside(study(record["study"]), record)
+    return dcc.Link("Compare these methods", href=start_address(runs), className="wl-button small") if runs else None
 
 
 def result_words(result: Mapping[str, Any]) -> str:
@@ -190,12 +192,21 @@ def made(record: Mapping[str, Any]) -> str:
 
 
 def table(record: Mapping[str, Any]) -> html.Div:
-    """The paper's numbers beside ours, by experiment."""
-    head = html.Tr([html.Th(word) for word in ("Quantity", "Case", "Paper", "Ours", "95 %", "n", "Verdict")])
+    """The paper's numbers beside ours, by experiment; rows that are about runs link to them."""
+    from engine.studies.base import beside, study
+
+    asked = study(record["study"])
+    links = {k: start_address(runs) for k, row in enumerate(record["rows"]) if (runs := beside(asked, record, row))}
+    words = ("Quantity", "Case", "Paper", "Ours", "95 %", "n", "Verdict", *(("Runs",) if links else ()))
+    head = html.Tr([html.Th(word) for word in words])
     bodies = []
     for number, what in record["experiments"].items():
-        title = html.Tr(html.Th(f"Experiment {number}: {what}", colSpan=7, scope="colgroup"))
-        rows = [row for row in record["rows"] if str(row["experiment"]) == str(number)]
+        title = html.Tr(html.Th(f"Experiment {number}: {what}", colSpan=len(words), scope="colgroup"))
+        rows = [
+            {**row, "link": links.get(k), "linked": bool(links)}
+            for k, row in enumerate(record["rows"])
+            if str(row["experiment"]) == str(number)
+        ]
         groups = [list(group) for _, group in groupby(rows, key=lambda row: (row["quantity"], row["unit"]))]
         bodies.append(html.Tbody([title, *[line for group in groups for line in _rows(group)]]))
     return html.Div(
@@ -223,10 +234,19 @@ def _rows(group: list[Mapping[str, Any]]) -> list[html.Tr]:
                 html.Td(study_report.interval_words(row)),
                 html.Td(str(row["n"])),
                 html.Td(verdict(row)),
+                html.Td(runs_link(row)) if row["linked"] else None,
             ]
         )
         for k, row in enumerate(group)
     ]
+
+
+def runs_link(row: Mapping[str, Any]) -> Any:
+    """To the runs that a row is about, ready to be started beside each other."""
+    if not row["link"]:
+        return None
+    said = f"Compare runs: {row['quantity']}, {row['case']}"
+    return dcc.Link("Compare", href=row["link"], className="wl-papers-compare", title=said)
 
 
 def verdict(row: Mapping[str, Any]) -> Any:

@@ -19,6 +19,7 @@ from app.pages.operate import KIND_OF_STATUS, passport
 from app.runs import RunManager
 from engine.build import planners_for
 from engine.errors import WattlaneError
+from engine.results.ground import ground_of
 
 SAME = "as recorded"
 PICK_SOME = "Tick two to four runs of one scenario and seed to see them beside each other."
@@ -29,10 +30,11 @@ def layout(manager: RunManager, run_id: str) -> html.Div:
     status = manager.status(run_id)
     manifest = manager.manifest(run_id)
 
-    def read(view: Any) -> tuple[dict[str, float], float, list[str]]:
-        return dict(view.thresholds(view.t_end)._asdict()), float(view.t_end), planners_for(view.scenario)
+    def read(view: Any) -> tuple[dict[str, float], float, list[str], bool]:
+        ground = ground_of(view) is not None
+        return dict(view.thresholds(view.t_end)._asdict()), float(view.t_end), planners_for(view.scenario), ground
 
-    levels, end, planners = manager.read(run_id, read)
+    levels, end, planners, ground = manager.read(run_id, read)
     about = {"run": run_id, "label": status.get("name") or run_id}
     left = [
         section(
@@ -82,7 +84,7 @@ def layout(manager: RunManager, run_id: str) -> html.Div:
             closeButtonProps={"aria-label": "Close"},
         ),
     ]
-    return stage_page.layout(status, "replay", levels, left, end * float(status["tick_s"]))
+    return stage_page.layout(status, "replay", levels, left, end * float(status["tick_s"]), ground=ground)
 
 
 def fork_form(planners: list[str]) -> html.Div:

@@ -139,6 +139,7 @@ def _head(library: Library, entry: Entry) -> html.Div:
 def start_form(library: Library, name: str, scenario: Any) -> html.Div:
     """Planner, objective, vehicles and seed of a live run."""
     fits = library.planners(name)
+    ground = scenario.floor.kind == "terrain"
     most = len(scenario.orders.goals) if is_instance(scenario) else 5000
     planner = scenario.planner.name if scenario.planner.name in fits else next(iter(fits), None)
     objectives = fits.get(planner or "", ["time", "energy"])
@@ -166,7 +167,8 @@ def start_form(library: Library, name: str, scenario: Any) -> html.Div:
             ),
             dmc.NumberInput(
                 id=Scenarios.FLEET,
-                label=f"Vehicles (of {most})" if is_instance(scenario) else "Vehicles",
+                label="Robots" if ground else f"Vehicles (of {most})" if is_instance(scenario) else "Vehicles",
+                disabled=ground,
                 value=scenario.fleet.count,
                 min=1,
                 max=most,

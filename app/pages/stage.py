@@ -13,9 +13,17 @@ from app import figures
 from app.components import tables
 from app.components.basics import action_button, clock, command_button
 from app.components.graphs import chart, graph
-from app.components.panels import kpi_panel, place_panel, soc_bar, vehicle_panel
+from app.components.panels import (
+    ground_panel,
+    ground_rows,
+    kpi_panel,
+    place_panel,
+    soc_bar,
+    vehicle_panel,
+    ways_panel,
+)
 from app.ids import Stage
-from app.pages import data
+from app.pages import data, ground3d
 from app.runs import RunManager
 from engine.errors import WattlaneError
 
@@ -27,13 +35,20 @@ TABS: tuple[tuple[str, str], ...] = (
     ("orders", "Orders"),
     ("chargers", "Chargers"),
     ("fleet", "Fleet"),
+    ("ways", "Ways"),
 )
+OF_GROUND = frozenset({"charts", "bands", "events", "ways"})
+OF_FLEET = frozenset(name for name, _ in TABS) - {"ways"}
+"""Tabs that make sense: one robot on terrain has no reservations, orders and chargers."""
 MARKS_EVERY = 5
 """The ruler's event ticks are read anew with every fifth update."""
 
 
-def layout(status: dict[str, Any], page: str, levels: dict[str, float], left: list[Any], end_s: float) -> html.Div:
-    """The stage for a run. status: of RunManager.status · page: "operate" or "replay" · left: the left column."""
+def layout(
+    status: dict[str, Any], page: str, levels: dict[str, float], left: list[Any], end_s: float, *, ground: bool = False
+) -> html.Div:
+    """The stage for a run. status: of RunManager.status · page: "operate" or "replay" · left: the left column ·
+    ground: the run is on terrain."""
     config = {
         "run": status["run_id"],
         "page": page,
@@ -63,23 +78,27 @@ def layout(status: dict[str, Any], page: str, levels: dict[str, float], left: li
                 className="wl-right",
                 **{"aria-label": "What is selected, or the fleet"},
             ),
-            _tabs(levels),
+            _tabs(levels, ground),
             html.Div(id=Stage.TRANSPORT, className="wl-transport", role="toolbar", **{"aria-label": "Time"}),
+            *(ground3d.dialog() if ground else []),
         ],
         className="wl-stage",
     )
 
 
-def _tabs(levels: dict[str, float]) -> html.Div:
+def _tabs(levels: dict[str, float], ground: bool) -> html.Div:
     bodies: dict[str, Any] = {
         "charts": html.Div(
             [
-                chart(Stage.SOC, "State of charge"),
-                chart(Stage.OCCUPANCY, "Occupancy: what the fleet does"),
-                chart(Stage.THROUGHPUT, "Throughput: orders per hour, and open"),
+                # all are on the page, since a callback must find what it fills; those of the other kind are hidden
+                chart(Stage.SOC, "State of charge", hidden=ground),
+                chart(Stage.OCCUPANCY, "Occupancy: what the fleet does", hidden=ground),
+                chart(Stage.THROUGHPUT, "Throughput: orders per hour, and open", hidden=ground),
+                chart(Stage.ANYTIME, "Search: ε, and cost of the way ahead", hidden=not ground),
+                chart(Stage.POWER, "Power at the battery, by component", hidden=not ground),
                 chart(Stage.ENERGY, "Energy drawn, by component"),
             ],
-            className="wl-charts",
+            className=f"wl-charts{' of-three' if ground else ''}",
         ),
         "bands": html.Div([html.Div(graph(Stage.BANDS, "State bands"))], className="wl-one"),
         "reservations": html.Div(
@@ -93,6 +112,7 @@ def _tabs(levels: dict[str, float]) -> html.Div:
         "orders": tables.orders_grid(Stage.ORDERS),
         "chargers": tables.chargers_grid(Stage.CHARGERS),
         "fleet": tables.fleet_grid(Stage.FLEET, levels),
+        "ways": tables.ways_grid(Stage.WAYS),
     }
     spans = dmc.SegmentedControl(
         id=Stage.SPAN,
@@ -110,7 +130,13 @@ def _tabs(levels: dict[str, float]) -> html.Div:
                 [
                     html.Div(
                         [
-                            dmc.TabsList([dmc.TabsTab(word, value=name) for name, word in TABS]),
+                            dmc.TabsList(
+                                [
+                                    dmc.TabsTab(word, value=name)
+                                    for name, word in TABS
+                                    if name in (OF_GROUND if ground else OF_FLEET)
+                                ]
+                            ),
                             html.Div(
                                 [
                                     spans,
@@ -164,13 +190,16 @@ def banner(status: dict[str, Any], page: str) -> Any:
 def side_panel(told: data.Told, asked: data.Asked, live: bool) -> Any:
     """What the right column shows."""
     values, chosen = told.values, asked.selection
+    if chosen is None and told.ground:
+        return ground_panel(values["robot"])
     if chosen is None:
-        return kpi_panel(values["kpis"])
+        return html.Div([kpi_panel(values["kpis"]), ways_panel(values.get("ways"))])
     fleet = values["fleet"]
     if chosen["kind"] == "vehicle":
         if asked.vehicle is None or asked.vehicle >= len(fleet):
             return html.P("This run has no such vehicle.", className="wl-hint")
-        return vehicle_panel(fleet[asked.vehicle], told.levels, live=live)
+        levels = {} if told.ground else told.levels  # nothing charges on terrain
+        return vehicle_panel(fleet[asked.vehicle], levels, live=live, ground=told.ground)
     place = chosen.get("place")
     if place is None:
         return html.P("Nothing is known of this place.", className="wl-hint")
@@ -183,6 +212,11 @@ def side_panel(told: data.Told, asked: data.Asked, live: bool) -> Any:
         rows, extra = _charger(told, place, live)
     elif chosen["kind"] == "station":
         title, rows = f"Station {name}", _station(told, chosen["id"])
+    if told.ground:
+        cell, sent = values["cell"], command_button("Send the robot here", {"do": "send", "vehicle": 0, "place": place})
+        rows, extra = ground_rows(cell), [sent] if live else []
+        stands = cell["obstacle"]
+        return place_panel(title, rows, here, place=place, blocked=stands, live=live, extra=extra, ground=True)
     return place_panel(title, rows, here, place=place, blocked=place in values["blocked"], live=live, extra=extra)
 
 
@@ -231,6 +265,14 @@ def _station(told: data.Told, number: int) -> list[tuple[str, Any]]:
 def tab_outputs(told: data.Told, asked: data.Asked, scheme: str, live: bool) -> dict[str, Any]:
     """New values for what the open tab holds, by output name."""
     values, tab = told.values, asked.tab
+    if tab == "charts" and told.ground:
+        return {
+            "anytime": figures.anytime_figure(
+                values["passes"], values["since_s"], values["now_s"], values["objective"], scheme
+            ),
+            "power": figures.power_figure(values["power"], scheme),
+            "energy": figures.energy_figure(values["energy"], scheme),
+        }
     if tab == "charts":
         return {
             "soc": figures.soc_figure(values["soc"], told.levels, asked.vehicle, scheme),
@@ -269,6 +311,8 @@ def tab_outputs(told: data.Told, asked: data.Asked, scheme: str, live: bool) -> 
         return {"orders": tables.order_rows(values["orders"], live=live)}
     if tab == "chargers":
         return {"chargers": tables.charger_rows(values["chargers"], values["fleet"], live=live)}
+    if tab == "ways":
+        return {"ways": tables.way_rows(values["passes"], values["objective"])} if told.ground else {}
     return {"fleet": tables.fleet_rows(values["fleet"])}
 
 
@@ -281,6 +325,8 @@ OUTPUTS: dict[str, Output] = {
     "occupancy": Output(Stage.OCCUPANCY, "figure"),
     "throughput": Output(Stage.THROUGHPUT, "figure"),
     "energy": Output(Stage.ENERGY, "figure"),
+    "power": Output(Stage.POWER, "figure"),
+    "anytime": Output(Stage.ANYTIME, "figure"),
     "bands": Output(Stage.BANDS, "figure"),
     "reservations": Output(Stage.RESERVATIONS, "figure"),
     "note": Output(Stage.RESERVATIONS_NOTE, "children"),
@@ -288,6 +334,7 @@ OUTPUTS: dict[str, Output] = {
     "orders": Output(Stage.ORDERS, "rowData"),
     "chargers": Output(Stage.CHARGERS, "rowData"),
     "fleet": Output(Stage.FLEET, "rowData"),
+    "ways": Output(Stage.WAYS, "rowData"),
 }
 
 
@@ -338,6 +385,7 @@ def register(app: dash.Dash, manager: RunManager) -> None:
         }
         return answer
 
+    ground3d.register(app, manager)
     # With an output, unlike the others: a callback without one is not called when its page appears.
     app.clientside_callback(
         ClientsideFunction("wattlane", "bind"), Output(Stage.BOUND, "data"), Input(Stage.CONFIG, "data")

@@ -17,6 +17,14 @@
     return element;
   };
 
+  /** The same for what is drawn as SVG. */
+  wl.svg = (tag, attributes = {}, ...children) => {
+    const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) if (value !== null && value !== undefined) node.setAttribute(name, value);
+    node.append(...children);
+    return node;
+  };
+
   /** The element with this id, once it is there; null when it does not come. */
   wl.found = (id) => new Promise((resolve) => {
     const begin = performance.now();
@@ -117,6 +125,9 @@
     "charger out": (c) => [`Take charger ${c.label || c.charger} out of order?`,
       "A vehicle that charges there stops charging; bookings move to other chargers.", "Take out"],
   };
+  const ON_GROUND = {   // one robot, nobody to hinder, and what is dropped can be removed
+    fail: () => ["Let the robot break down?", "It stops when its present motion has ended, until it is repaired.", "Break it down"],
+  };
   const DID = { order: "New order", withdraw: "Withdraw", charge: "Charge now", send: "Send", pause: "Pause vehicle",
     continue: "Continue vehicle", fail: "Break down", repair: "Repair", block: "Block", unblock: "Unblock",
     "charger out": "Charger out", "charger back": "Charger back", rate: "Order rate", thresholds: "Charging levels" };
@@ -128,7 +139,7 @@
       wl.notify("Not a live run", "Commands go to live runs. Fork from here to start one from this moment.", "warning");
       return;
     }
-    const ask = CONSEQUENCE[command.do];
+    const ask = (stage.map && stage.map.ground ? ON_GROUND : CONSEQUENCE)[command.do];
     if (ask && !(await wl.confirm(...ask(command)))) return;
     const { label: _, ...plain } = command;
     try {

@@ -9,6 +9,8 @@
 
   const SPEEDS = [1, 2, 5, 10, 25, 50, 100, 250];
   const ADDRESS_MS = 250, SLOW_MS = 1500;
+  /** What of a state only says where one is looking: an example stays one while it changes. */
+  const MOMENT = new Set(["step", "node", "time", "show", "scale"]);
 
   wl.number = (value, digits = 0) => value.toLocaleString("en-US", { minimumFractionDigits: digits, maximumFractionDigits: digits, signDisplay: "negative" });
   wl.joules = (mj) => `${wl.number(mj / 1000, 1)} J`;
@@ -159,11 +161,11 @@
     begun() {}
 
     _markExample() {
-      const { step: _s, node: _n, time: _t, show: _w, scale: _c, ...now } = this.state;
+      const { state } = this;
       let look = "";
       this.config.presets.forEach((preset, i) => {
-        const keys = new Set([...Object.keys(now), ...Object.keys(preset.state)]);
-        const same = [...keys].every((key) => (now[key] || "") === (preset.state[key] || ""));
+        const keys = new Set([...Object.keys(state), ...Object.keys(preset.state)]);
+        const same = [...keys].every((key) => MOMENT.has(key) || (state[key] || "") === (preset.state[key] || ""));
         this.examples[i].setAttribute("aria-pressed", String(same));
         if (same) look = preset.look;
       });
@@ -184,9 +186,8 @@
         if (this.gone) return;
         this.problem("");
         this.say("");
-        const wanted = Number(this.state.step || 0);
         if (!this.takeAll(answer)) return;
-        this.player.step = wanted;
+        this.player.step = Number(this.state.step || 0);
         this.player.length(this.steps());
         this.write();
       } catch (problem) {
@@ -379,7 +380,7 @@
       ctx.strokeStyle = colours.line;
       ctx.lineWidth = 1;
       ctx.beginPath();
-      if (size >= 5) {
+      if (size >= 5 && !floor.plain) {
         for (let x = 0; x <= floor.width; x++) { ctx.moveTo(x0 + x * size, y0); ctx.lineTo(x0 + x * size, y0 + floor.height * size); }
         for (let y = 0; y <= floor.height; y++) { ctx.moveTo(x0, y0 + y * size); ctx.lineTo(x0 + floor.width * size, y0 + y * size); }
       } else ctx.rect(x0, y0, size * floor.width, size * floor.height);

@@ -2,15 +2,7 @@
 (() => {
   "use strict";
   const wl = (window.wattlane = window.wattlane || {});
-  const { el } = wl;
-
-  const SVG = "http://www.w3.org/2000/svg";
-  const svg = (tag, attributes, ...children) => {
-    const node = document.createElementNS(SVG, tag);
-    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
-    node.append(...children);
-    return node;
-  };
+  const { el, svg } = wl;
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 
   class AntsLesson extends wl.DrawnLesson {

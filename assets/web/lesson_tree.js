@@ -2,19 +2,11 @@
 (() => {
   "use strict";
   const wl = (window.wattlane = window.wattlane || {});
-  const { el } = wl;
+  const { el, svg } = wl;
 
-  const SVG = "http://www.w3.org/2000/svg";
   const WIDE = 122, HIGH = 40, GAP_X = 12, GAP_Y = 34;
   const PRUNED = 2, ANSWER = 3;
   const STEP_MS = 700, EASY = 0.6;
-
-  const svg = (tag, attributes = {}, ...children) => {
-    const node = document.createElementNS(SVG, tag);
-    for (const [name, value] of Object.entries(attributes)) if (value !== null && value !== undefined) node.setAttribute(name, value);
-    node.append(...children);
-    return node;
-  };
 
   class TreeLesson extends wl.Lesson {
     build() {

@@ -12,7 +12,9 @@
   const NUMBER_FROM_PX = 15;     // a vehicle narrower than this shows no number
   const SUBPIXEL_BELOW = 250;    // larger fleets snap to whole pixels: half the drawing time
   const LONG_PRESS_MS = 550;
-  const TELEPORT_CELLS = 10;
+  const TELEPORT_CELLS = 10, TELEPORT_M = 3;   // on terrain cells are small
+  const CELL_MARK_PX = 12;       // a chosen cell of terrain is marked at least so large
+  const CLOSE_UP_PX = 18, CLOSE_UP_GROUND = 40;   // px per cell, on terrain per metre, when something is centred
   const COLOURINGS = { state: "state", id: "number", soc: "state of charge", task: "task", power: "energy rate", thesis: "thesis colours" };
 
   wl.FleetMap = class {
@@ -27,7 +29,8 @@
       this.ctx = this.canvas.getContext("2d");
       this.still = document.createElement("canvas");
       this.paths = document.createElement("canvas");
-      this.layers = { grid: false, ids: true, paths: true, heat: "", log: false, window: 3600, colour: "state" };
+      this.layers = { grid: false, ids: true, paths: true, heat: "", log: false, window: 3600, colour: "state",
+        contours: true, veil: true, frontier: false };   // the last three: of terrain
       this.view = { x: 0, y: 0, scale: 20 };
       this.selection = null;
       this.follow = false;
@@ -62,8 +65,13 @@
       this.network = floor.kind === "network";
       this.widthM = this.network ? floor.width_m : floor.width * floor.cell_m;
       this.heightM = this.network ? floor.height_m : floor.height * floor.cell_m;
+      this.ground = floor.kind === "terrain" ? new wl.Ground(this, floor) : null;
+      if (this.ground) {
+        this.ground.theme(this.host);
+        this.canvas.setAttribute("aria-label", "Map of the ground with the robot. The panel beside it tells of its search, the tab Ways of each way.");
+      }
       this.placeAt = new Map();
-      floor.places.forEach(([x, y], place) => this.placeAt.set(this._cellKey(x, y), place));
+      if (!this.ground) floor.places.forEach(([x, y], place) => this.placeAt.set(this._cellKey(x, y), place));
       this.stationAt = new Map((floor.stations || []).map((s) => [s.place, s]));
       this.chargerAt = new Map((floor.chargers || []).map((c) => [c.place, c]));
       this.parkingAt = new Map((floor.parking || []).map((p) => [p.place, p]));
@@ -76,6 +84,7 @@
 
     setTheme() {
       this.palette = wl.marks.readPalette(this.host);
+      if (this.ground) this.ground.theme(this.host);
       this.sprites = null;
       this._stale();
     }
@@ -152,7 +161,7 @@
         this.fromX.set(frame.x); this.fromY.set(frame.y); this.fromH.set(frame.heading);
       } else {
         this.fromX.set(this.nowX); this.fromY.set(this.nowY); this.fromH.set(this.nowH);
-        const far = TELEPORT_CELLS * this.floor.cell_m;
+        const far = this.ground ? TELEPORT_M : TELEPORT_CELLS * this.floor.cell_m;
         for (let i = 0; i < frame.n; i++) {
           if (Math.abs(frame.x[i] - this.fromX[i]) + Math.abs(frame.y[i] - this.fromY[i]) > far) {
             this.fromX[i] = frame.x[i]; this.fromY[i] = frame.y[i]; this.fromH[i] = frame.heading[i];
@@ -217,6 +226,7 @@
 
     _placeAtPoint(x, y) {
       if (x < 0 || y < 0 || x >= this.widthM || y >= this.heightM) return undefined;
+      if (this.ground) return Math.floor(y / this.floor.cell_m) * this.floor.width + Math.floor(x / this.floor.cell_m);
       return this.network ? wl.network.pick(this, x, y) : this.placeAt.get(this._cellKey(x, y));
     }
 
@@ -250,7 +260,7 @@
 
     centreOn(selection) {
       if (!selection || !this.floor) return;
-      const least = 18 / this.floor.cell_m;
+      const least = this.ground ? CLOSE_UP_GROUND : CLOSE_UP_PX / this.floor.cell_m;
       if (selection.kind === "vehicle" && selection.id < this.n) {
         this.centre(this.nowX[selection.id], this.nowY[selection.id], Math.max(this.view.scale, least));
       } else if (selection.place !== undefined && this.floor.places[selection.place]) {
@@ -298,6 +308,7 @@
           this.view.x = x; this.view.y = y; this.fitted = false; this.stillStale = this.pathsStale = true;
         }
       }
+      if (this.ground && this.ground.follow(this.frame ? this.frame.time : 0)) this.stillStale = true;
       if (this.stillStale) { this._drawStill(); this.stillStale = false; }
       const ctx = this.ctx;
       ctx.setTransform(1, 0, 0, 1, 0, 0);
@@ -331,6 +342,11 @@
       const [left, bottom] = this.toFloor(0, this.cssH), [right, top] = this.toFloor(this.cssW, 0);
       const range = { x0: Math.max(0, Math.floor(left / floor.cell_m)), x1: Math.min(floor.width - 1, Math.floor(right / floor.cell_m)),
         y0: Math.max(0, Math.floor(bottom / floor.cell_m)), y1: Math.min(floor.height - 1, Math.floor(top / floor.cell_m)) };
+      if (this.ground) {
+        this.ground.draw(ctx, cell);
+        if (this.layers.grid && cell >= 5) this._drawGrid(ctx, range);
+        return;
+      }
       this._drawCells(ctx, cell, range);
       if (this.layers.heat && this.heat) this._drawHeat(ctx);
       if (this.layers.grid && cell >= 5) this._drawGrid(ctx, range);
@@ -494,6 +510,7 @@
         map.heatEnds = [Math.min(...ends.map(([low]) => low)), Math.max(...ends.map(([, top]) => top))];
         map._stale();
       }
+      wl.Ground.share(maps.map((map) => map.ground).filter((ground) => ground && ground.watts.length));
       const most = Math.max(...maps.map((map) => map.powerTop));
       for (const map of maps) { map.powerTop = most; map._wake(); }
     }
@@ -501,6 +518,7 @@
     heatColour(place) { return `rgb(${wl.marks.viridis(this._heatShare(this.heat[place])).join(",")})`; }
 
     _drawPaths(ctx) {
+      if (this.ground) { this.ground.drawWays(ctx); return; }
       const chosen = this.selection && this.selection.kind === "vehicle" ? this.selection.id : -1;
       const all = this.layers.paths;
       if (!this.routes.length || (!all && chosen < 0)) return;
@@ -577,10 +595,11 @@
 
     _drawFleet(ctx) {
       const { frame, palette, layers, dpr } = this;
-      const size = Math.max(LEAST_PX, Math.min(64, (this.network ? NETWORK_SHARE : VEHICLE_SHARE) * this.floor.cell_m * this.view.scale)) * dpr;
+      const share = this.network ? NETWORK_SHARE : VEHICLE_SHARE;
+      const size = (this.ground ? this.ground.robotPx() : Math.max(LEAST_PX, Math.min(64, share * this.floor.cell_m * this.view.scale))) * dpr;
       const slot = Math.ceil(size * 1.9) + 2;
       if (!this.sprites || this.sprites.slot !== slot) { this.sprites = new wl.marks.Atlas(slot); this.numbers = null; }
-      const numbers = layers.ids && size >= NUMBER_FROM_PX * dpr;
+      const numbers = layers.ids && !this.ground && size >= NUMBER_FROM_PX * dpr;
       if (numbers && !this.numbers) this.numbers = new wl.marks.Atlas(slot);
       const scale = this.view.scale * dpr, whole = this.n > SUBPIXEL_BELOW;
       const ox = (this.cssW / 2) * dpr - this.view.x * scale, oy = (this.cssH / 2) * dpr + this.view.y * scale;
@@ -635,7 +654,10 @@
     }
 
     /** Side of the square round a place, in metres. */
-    _markSize() { return this.floor.cell_m * (this.network ? NETWORK_SHARE : 1); }
+    _markSize() {
+      if (this.ground) return Math.max(this.floor.cell_m, CELL_MARK_PX / this.view.scale);
+      return this.floor.cell_m * (this.network ? NETWORK_SHARE : 1);
+    }
 
     _drawSend(ctx) {
       const target = this.sendAt;
@@ -775,14 +797,15 @@
     describe(target) {
       if (target.kind === "vehicle") {
         const { frame } = this, i = target.id, soc = frame.soc[i];
-        const parts = [`Vehicle ${i}`, WORDS[frame.state[i]] || "?"];
+        const parts = [this.ground ? "Robot" : `Vehicle ${i}`, WORDS[frame.state[i]] || "?"];
         const task = frame.flags[i] >> TASK_SHIFT;
-        if (task) parts.push(TASKS[task]);
-        if (this.layers.colour === "power" && typeof this.power[i] === "number") parts.push(`${Math.round(this.power[i])} W`);
+        if (task && !this.ground) parts.push(TASKS[task]);
+        if (this.layers.colour === "power" && !this.ground && typeof this.power[i] === "number") parts.push(`${Math.round(this.power[i])} W`);
         if (soc !== UNKNOWN_SOC) parts.push(`SoC ${Math.round((100 * soc) / FULL_SOC)} %${frame.flags[i] & LOW ? " (low)" : ""}`);
         if (frame.flags[i] & LOADED) parts.push("loaded");
         return parts.join(" · ");
       }
+      if (this.ground) return [`cell ${this.cellName(target.place)}`, ...this.ground.facts(target.place)].join(" · ");
       const parts = [], lane = this.laneAt.get(target.place);
       const station = this.stationAt.get(target.place), charger = this.chargerAt.get(target.place), spot = this.parkingAt.get(target.place);
       const way = this.oneWayAt.get(target.place);
@@ -814,8 +837,11 @@
 
   wl.COLOURINGS = COLOURINGS;
 
+  const rowsInto = (host, rows) => host.replaceChildren(...rows.map(([canvas, word]) => el("span", { class: "wl-legend-row" }, canvas, word)));
+
   /** The legend of a map, drawn with the map's own marks. */
-  wl.legend = (host, { palette, layers, powerTop, network, chargerAt }) => {
+  wl.legend = (host, map) => {
+    const { palette, layers, powerTop, network, chargerAt } = map;
     const dpr = Math.min(3, window.devicePixelRatio || 1), px = 20;
     const mark = (draw) => {
       const canvas = el("canvas", { width: px * dpr, height: px * dpr, "aria-hidden": "true" });
@@ -838,6 +864,11 @@
       power: [0, 0.25, 0.5, 1].map((power) => [{ power }, watts(power)]).concat([[{ state: 5, power: -1 }, "charging"], ...signs]),
       thesis: [[{}, "empty"], [{ flags: LOADED }, "loaded"], [{ flags: LOW }, "low"], [{ state: 5 }, "charged to 50 %"], [{ state: 6 }, "fault"]],
     };
+    if (map.ground) {
+      const states = [1, 2, 7, 6, 0].map((state) => [vehicle({ state }), WORDS[state]]);
+      rowsInto(host, [...(layers.colour === "power" ? [] : states), ...wl.terrain.marks(map).map(([draw, word]) => [mark(draw), word])]);
+      return;
+    }
     const rows = looks[layers.colour].map(([look, word]) => [vehicle(look), word]);
     if (network) rows.push(...wl.network.marks(palette).map(([draw, word]) => [mark(draw), word]));
     if (!network || chargerAt.size) rows.push(
@@ -845,6 +876,6 @@
     rows.push(
       [mark((ctx, x, y) => { ctx.strokeStyle = palette.blocked; ctx.lineWidth = 1.5; ctx.beginPath(); ctx.rect(x - 8, y - 8, 16, 16); ctx.clip(); for (let d = -16; d <= 16; d += 4) { ctx.moveTo(x - 8 + d, y + 8); ctx.lineTo(x + 8 + d, y - 8); } ctx.rect(x - 8, y - 8, 16, 16); ctx.stroke(); }), "blocked"],
       [mark((ctx, x, y) => { ctx.strokeStyle = palette.route; ctx.lineCap = "round"; ctx.lineWidth = 4; ctx.globalAlpha = 0.7; ctx.beginPath(); ctx.moveTo(x - 10, y); ctx.lineTo(x - 1, y); ctx.stroke(); ctx.globalAlpha = 1; ctx.lineWidth = 1.4; ctx.beginPath(); ctx.moveTo(x - 10, y); ctx.lineTo(x + 10, y); ctx.stroke(); }), "route: reserved, planned"]);
-    host.replaceChildren(...rows.map(([canvas, word]) => el("span", { class: "wl-legend-row" }, canvas, word)));
+    rowsInto(host, rows);
   };
 })();

@@ -3,8 +3,10 @@
   "use strict";
   const wl = (window.wattlane = window.wattlane || {});
   const el = wl.el;
-  const ROUTES_MS = 500, POWER_MS = 1000, HEAT_MS = 3000, VEIL_AFTER_MS = 2500;
+  const ROUTES_MS = 500, POWER_MS = 1000, HEAT_MS = 3000, GROUND_AGAIN_MS = 1500, VEIL_AFTER_MS = 2500;
   const ROUTES_UP_TO = 40;
+  const SWITCHES = ["grid", "ids", "paths", "log", "contours", "veil", "frontier"];
+  const GROUND_COLOURS = { state: "plain", power: "energy rate" };
   const LETTER = { vehicle: "v", station: "s", charger: "c", place: "p" };
 
   wl.icon = (name) => el("span", { class: `wl-icon wl-icon-${name}`, "aria-hidden": "true" });
@@ -20,7 +22,7 @@
     const layers = query.get("layers");
     if (layers === null) return view;
     const words = new Set(layers.split(","));
-    for (const name of ["grid", "ids", "paths", "log"]) view.layers[name] = words.has(name);
+    for (const name of SWITCHES) view.layers[name] = words.has(name);
     for (const word of words) {
       if (word.startsWith("heat-") && word.slice(5) in wl.HEATS) view.layers.heat = word.slice(5);
       if (word.startsWith("by-") && word.slice(3) in wl.COLOURINGS) view.layers.colour = word.slice(3);
@@ -31,7 +33,7 @@
 
   wl.writeView = (query, selection, layers) => {
     if (selection && LETTER[selection.kind]) query.set("sel", LETTER[selection.kind] + selection.id); else query.delete("sel");
-    const words = ["grid", "ids", "paths", "log"].filter((name) => layers[name]);
+    const words = SWITCHES.filter((name) => layers[name]);
     if (layers.heat) words.push(`heat-${layers.heat}`, `w${layers.window}`);
     if (layers.colour !== "state") words.push(`by-${layers.colour}`);
     query.set("layers", words.join(","));
@@ -39,7 +41,7 @@
 
   wl.Panel = class {
     /** host: an element · config: run, fleet · hooks: frame(frame, bytes), status(status), select(selection, options),
-     *  menu(target, x, y), follow(), layers(change), fit(), zoomed(), scaled() when a scale may have changed, again(). */
+     *  menu(target, x, y), follow(), layers(change), fit(), zoomed(), scaled() when a scale may have changed, again(), perhaps tools(floor). */
     constructor(host, config, hooks) {
       this.host = host;
       this.config = config;
@@ -133,6 +135,12 @@
     beat(now, time, follow) {
       this.time = time;
       this.follow = follow;
+      if (this.map.ground) {
+        const again = follow && now - (this.groundAt || 0) > GROUND_AGAIN_MS;   // others may drop obstacles into a paused run
+        const stale = again || time !== this.groundTime || this.groundFor !== this.map.layers.frontier;
+        if (stale && now - (this.groundAt || 0) > ROUTES_MS && !this.groundBusy) this._fetchGround(now);
+        return;
+      }
       const moved = time !== this.routesTime || this.routesFor !== this._routesKey();
       if (moved && now - (this.routesAt || 0) > ROUTES_MS && !this.routesBusy) this._fetchRoutes(now);
       if (this.map.layers.colour === "power" && now - (this.powerAt || 0) > POWER_MS && this.powerTime !== time) this._fetchPower(now);
@@ -141,6 +149,9 @@
     }
 
     _routesKey() { return this.map.layers.paths ? "all" : this.selection && this.selection.kind === "vehicle" ? `v${this.selection.id}` : ""; }
+
+    /** What was fetched may be outdated though the time is not: a command was given. */
+    anew() { this.groundTime = null; }
 
     async _fetchRoutes(now) {
       const key = this._routesKey();
@@ -154,6 +165,26 @@
         if (!this.gone) this.map.setRoutes(Array.isArray(answer) ? answer : answer.routes || []);
       } catch { /* the link already says when the server is gone */ }
       this.routesBusy = false;
+    }
+
+    /** What lies and moves on terrain: search, way, obstacles, and what of the track is new. */
+    async _fetchGround(now) {
+      const { ground, layers } = this.map;
+      this.groundAt = now;
+      this.groundTime = this.time;
+      this.groundFor = layers.frontier;
+      this.groundBusy = true;
+      const query = `since=${ground.track.next}&way=${ground.wayRow}&frontier=${layers.frontier}${this.follow ? "" : `&t=${this.time}`}`;
+      try {
+        const told = await wl.fetchJson(wl.runPath(this.config.run, `/ground?${query}`));
+        if (!this.gone) {
+          if (ground.told(told)) this.hooks.scaled();
+          if (!this.groundSeen) this.showLegend();
+          this.groundSeen = true;
+          this.host.dataset.ground = String(Number(this.host.dataset.ground || 0) + 1);
+        }
+      } catch { /* the link already says when the server is gone */ }
+      this.groundBusy = false;
     }
 
     async _fetchPower(now) {
@@ -230,6 +261,11 @@
       if (item) return { kind: item[0], id: item[1].number, place: item[1].place };
       const spot = (this.floor.parking || []).find((p) => p.name.toLowerCase() === word);
       if (spot) return { kind: "place", id: spot.place, place: spot.place };
+      const cell = this.map.ground && /^\(?(\d+)\s*[,;\s]\s*(\d+)\)?$/.exec(word);
+      if (cell && Number(cell[1]) < this.floor.width && Number(cell[2]) < this.floor.height) {
+        const place = Number(cell[2]) * this.floor.width + Number(cell[1]);
+        return { kind: "place", id: place, place };
+      }
       const number = /^(?:v|vehicle|agv)?\s*(\d+)$/.exec(word);
       return number ? { kind: "vehicle", id: Number(number[1]) } : null;
     }
@@ -238,7 +274,8 @@
       if (!text.trim()) return;
       const selection = this.found(text);
       if (selection) this.hooks.select(selection, { centre: true });
-      else wl.notify("Not found", `“${text}” is no vehicle number, station, charger or parking name.`, "warning");
+      else wl.notify("Not found", this.map.ground ? `“${text}” is no cell; type its column and row, such as 120, 80.`
+        : `“${text}” is no vehicle number, station, charger or parking name.`, "warning");
     }
 
     // ---- building
@@ -249,7 +286,8 @@
       this.veilText = el("p", {});
       this.veil = el("div", { class: "wl-veil", hidden: true, role: "alert" }, this.veilText);
       this.followButton = wl.toolButton("follow", "Follow the selected vehicle (F)", () => this.hooks.follow(), { "aria-pressed": "false" });
-      this.findBox = el("input", { type: "search", class: "wl-find", placeholder: "Find: 4, R7, C2", "aria-label": "Find a vehicle, station or charger" });
+      const [example, finds] = floor.kind === "terrain" ? ["Find: 120, 80", "Find a cell"] : ["Find: 4, R7, C2", "Find a vehicle, station or charger"];
+      this.findBox = el("input", { type: "search", class: "wl-find", placeholder: example, "aria-label": finds });
       this.findBox.addEventListener("keydown", (event) => {
         if (event.key === "Enter") { this._find(this.findBox.value); this.findBox.blur(); }
         if (event.key === "Escape") { this.findBox.value = ""; this.findBox.blur(); }
@@ -258,7 +296,8 @@
       this.host.append(el("div", { class: "wl-map-view" }, canvasHost,
         el("div", { class: "wl-map-tools", role: "toolbar", "aria-label": "Map" },
           wl.toolButton("plus", "Zoom in (+)", () => this.map.zoom(1.4)), wl.toolButton("minus", "Zoom out (−)", () => this.map.zoom(1 / 1.4)),
-          wl.toolButton("fit", "Fit the floor (R)", () => this.hooks.fit()), this.followButton, this._buildLayers()),
+          wl.toolButton("fit", "Fit the floor (R)", () => this.hooks.fit()), this.followButton,
+          ...(this.hooks.tools ? this.hooks.tools(floor) : []), this._buildLayers()),
         el("div", { class: "wl-map-find" }, this.findBox),
         this.phase, this.veil));
       this.map = new wl.FleetMap(canvasHost, { select: (s, o) => this.hooks.select(s, o), menu: (t, x, y) => this.hooks.menu(t, x, y), zoomed: () => this.hooks.zoomed() });
@@ -297,16 +336,29 @@
         return el("label", {}, el("span", {}, label), select);
       };
       this.heatNote = el("div", { class: "wl-heat-scale" });
+      const menu = () => el("details", { class: "wl-layer-menu" }, el("summary", { class: "wl-tool", "aria-label": "Layers", title: "Layers" }, wl.icon("layers")), this.layerPanel);
+      if (this.floor.kind === "terrain") {
+        this.layerPanel = el("div", { class: "wl-layers" },
+          box("paths", "Way and track (P)"), box("contours", "Contours"), box("veil", "Veil what is not seen yet"),
+          box("frontier", "Search: OPEN and INCONS"), box("grid", "Grid (G)"),
+          choice("colour", "Track's colour", Object.entries(GROUND_COLOURS)));
+        return menu();
+      }
       this.layerPanel = el("div", { class: "wl-layers" },
         box("paths", "Routes (P)"), box("ids", "Numbers (I)"), box("grid", "Grid (G)"),
         choice("colour", "Colour by", Object.entries(wl.COLOURINGS)),
         choice("heat", "Heat map (H)", Object.entries(wl.HEATS)),
         choice("window", "over the last", [[600, "10 min"], [3600, "1 h"], [28800, "8 h"], [0, "whole run"]]),
         box("log", "logarithmic scale"), this.heatNote);
-      return el("details", { class: "wl-layer-menu" }, el("summary", { class: "wl-tool", "aria-label": "Layers", title: "Layers" }, wl.icon("layers")), this.layerPanel);
+      return menu();
     }
 
     setLayers(change) {
+      if (this.map.ground) {   // what an address or a key may ask for, and terrain does not have
+        change = { ...change };
+        delete change.heat;
+        if (!(change.colour in GROUND_COLOURS)) delete change.colour;
+      }
       this.map.setLayers(change);
       if ("colour" in change) this.powerTime = null;
       if ("heat" in change || "window" in change) { this.map.setHeat(null); this.heatAt = this.arcsAt = 0; this.heatTime = null; }
@@ -321,7 +373,7 @@
 
     /** The change that a layer's key asks for. */
     toggled(name) {
-      if (name !== "heat") return { [name]: !this.map.layers[name] };
+      if (name !== "heat" || this.map.ground) return { [name]: !this.map.layers[name] };
       const kinds = Object.keys(wl.HEATS), at = kinds.indexOf(this.map.layers.heat);
       return { heat: kinds[(at + 1) % kinds.length] };
     }

@@ -2,16 +2,8 @@
 (() => {
   "use strict";
   const wl = (window.wattlane = window.wattlane || {});
-  const { el } = wl;
-  const SVG = "http://www.w3.org/2000/svg";
+  const { el, svg } = wl;
   const LEFT = 46, RIGHT = 10, TOP = 6, BOTTOM = 20;
-
-  const svg = (tag, attributes, ...children) => {
-    const node = document.createElementNS(SVG, tag);
-    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
-    node.append(...children);
-    return node;
-  };
 
   /** Round numbers from low to high, at least about `many` of them. */
   const ticksOf = (low, high, many) => {

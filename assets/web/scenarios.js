@@ -33,6 +33,7 @@
       this.trips = trips;
       this.findings = findings.filter((f) => f.x !== undefined && f.level !== "ok");
       this.chosen = null;
+      this.layers.veil = false;   // the ground as it is
       this.setFloor(floor);
     }
 
@@ -49,7 +50,7 @@
 
     choose(finding) {
       this.chosen = finding;
-      this.centre(finding.x, finding.y, Math.max(this.view.scale, 22 / this.floor.cell_m));
+      this.centre(finding.x, finding.y, Math.max(this.view.scale, this.ground ? 22 : 22 / this.floor.cell_m));
     }
 
     /** Unlike the live map's, it shows the whole of a very large floor too. */
@@ -75,10 +76,25 @@
 
     _drawStill() {
       super._drawStill();
-      const ctx = this.still.getContext("2d"), cell = this.floor.cell_m * this.view.scale;
-      this._drawTrips(ctx, cell);
+      const ctx = this.still.getContext("2d"), cell = this.ground ? this.ground.robotPx() : this.floor.cell_m * this.view.scale;
+      if (!this.ground) this._drawTrips(ctx, cell);
+      else for (const trip of this.trips) this._drawGroundTrip(ctx, trip, cell);
       for (const finding of this.findings) this._drawFinding(ctx, finding, cell);
       this.host.dataset.marks = this.findings.length;
+    }
+
+    /** The robot's start and goal on terrain, with the marks of the live map. */
+    _drawGroundTrip(ctx, [x, y, gx, gy], size) {
+      const { colours } = this.ground, [sx, sy] = this.toScreen(x, y), [tx, ty] = this.toScreen(gx, gy);
+      for (const [style, width] of [[colours.halo, 4], [colours.way, 1.8]]) {
+        ctx.strokeStyle = style;
+        ctx.lineWidth = width;
+        ctx.setLineDash([7, 6]);
+        ctx.beginPath(); ctx.moveTo(sx, sy); ctx.lineTo(tx, ty); ctx.stroke();
+      }
+      ctx.setLineDash([]);
+      wl.marks.vehicle(ctx, sx, sy, size, { state: 1, flags: 0, colour: this.palette.state[1], palette: this.palette, heading: 0 });
+      wl.terrain.goal(ctx, tx, ty, 9, colours);
     }
 
     _drawTrips(ctx, cell) {
@@ -139,8 +155,8 @@
   wl.FloorPreview = Preview;
 
   /** What the letters and marks mean, of those that this floor has. */
-  const legend = (host, floor, trips) => {
-    const network = floor.kind === "network", node = { entrance: "E", inbound: "I", outbound: "O", rack: "R" };
+  const legend = (host, floor, trips, map) => {
+    const ground = floor.kind === "terrain" && map.ground, network = floor.kind === "network", node = { entrance: "E", inbound: "I", outbound: "O", rack: "R" };
     const letters = network ? [...floor.nodes.map((n) => node[n.kind]), ...(floor.chargers.length ? "C" : "")] : floor.cells;
     const palette = wl.marks.readPalette(host), there = new Set(network ? letters : letters.join("")), dpr = Math.min(3, window.devicePixelRatio || 1);
     const mark = (draw, word) => {
@@ -161,7 +177,12 @@
       ctx.strokeStyle = palette.arrow; ctx.lineWidth = 1.6; ctx.lineCap = ctx.lineJoin = "round";
       ctx.beginPath(); ctx.moveTo(3, 9); ctx.lineTo(14, 9); ctx.moveTo(10, 5); ctx.lineTo(14, 9); ctx.lineTo(10, 13); ctx.stroke();
     }, "one-way"));
-    if (trips.length) {
+    if (ground) rows.splice(0, rows.length, ...wl.terrain.marks(map).map(([draw, word]) => mark((ctx) => draw(ctx, 9, 9), word)));
+    if (trips.length && ground) {
+      const { colours } = ground;
+      rows.push(mark((ctx) => wl.marks.vehicle(ctx, 9, 9, 13, { state: 1, flags: 0, colour: palette.state[1], palette, heading: 0 }), "start"),
+        mark((ctx) => wl.terrain.goal(ctx, 9, 9, 6, colours), "goal"));
+    } else if (trips.length) {
       const colour = wl.marks.bodyColour(palette, "id", { id: 0 });
       rows.push(mark((ctx) => { ctx.fillStyle = colour; wl.marks.roundRect(ctx, 3, 3, 12, 12, 3); ctx.fill(); }, "start"));
       if (trips[0].length > 2) rows.push(mark((ctx) => { ctx.strokeStyle = colour; ctx.lineWidth = 2; ctx.beginPath(); ctx.arc(9, 9, 5, 0, 7); ctx.stroke(); }, "its goal"));
@@ -196,6 +217,7 @@
     const palette = wl.marks.readPalette(canvas), dpr = Math.min(3, window.devicePixelRatio || 1);
     const wide = canvas.clientWidth * dpr, high = canvas.clientHeight * dpr;
     if (!wide || !high) return;
+    if (floor.heights) { wl.terrain.thumb(canvas, floor, Math.round(wide), Math.round(high)); canvas.dataset.drawn = canvas.dataset.thumb; return; }
     if (floor.nodes) { drawNetwork(canvas, floor, palette, Math.round(wide), Math.round(high)); return; }
     const image = document.createElement("canvas");
     image.width = floor.width; image.height = floor.height;
@@ -263,7 +285,7 @@
         if (!map || !map.floor) continue;
         map.setTheme();
         map.host.dataset.scheme = wl.scheme();
-        legend(document.getElementById(host), map.floor, map.trips);
+        legend(document.getElementById(host), map.floor, map.trips, map);
       }
     }
 
@@ -282,7 +304,7 @@
       if (this.gone) return;
       this.map = new Preview(host, `Preview of the floor of ${name}`);
       this.map.show(floor, floor.trips);
-      legend(document.getElementById("scenarios-legend"), floor, floor.trips);
+      legend(document.getElementById("scenarios-legend"), floor, floor.trips, this.map);
       host.dataset.shown = name;
       try {
         const { findings } = await wl.fetchJson(path(name, "/checks"));
@@ -444,7 +466,7 @@
       this._fieldsFor(seen);
       this.facts.textContent = `${seen.title} · ${seen.size}`;
       this.importMap.show(seen.floor, seen.trips);
-      legend(document.getElementById("scenarios-import-legend"), seen.floor, seen.trips);
+      legend(document.getElementById("scenarios-import-legend"), seen.floor, seen.trips, this.importMap);
       this.importHost.dataset.seen = seen.name;
       this.importHost.dataset.looks = number;
     }

@@ -5,6 +5,7 @@
   const el = wl.el;
   const PULSE_MS = 700, PULSE_GIVE_UP_MS = 8000;
   const PATHS = { operate: ["/", "/operate"], replay: ["/replay"] };
+  const BOULDER_M = 0.8;   // radius of what an operator drops on terrain
   const ASKED_MS = 1500;   // how long a button shows what was asked for, until a frame shows that it is so
 
   class Stage extends wl.Player {
@@ -43,6 +44,7 @@
         zoomed: () => {},
         scaled: () => {},
         again: () => wl.bind(this.config),
+        tools: (floor) => (floor.kind === "terrain" ? [wl.ground3d.button()] : []),
       });
       if (!await this.panel.start(this.layersWanted)) return;
       this.map = this.panel.map;
@@ -176,14 +178,14 @@
         t: this.follow ? null : this.time, live: this.config.live, follow: this.follow, scheme: wl.scheme() } });
     }
 
-    pulseSoon() { this.dirty = true; this.pulseAsked = Math.min(this.pulseAsked, performance.now() - PULSE_MS + 250); }
+    pulseSoon() { this.dirty = true; if (this.panel) this.panel.anew(); this.pulseAsked = Math.min(this.pulseAsked, performance.now() - PULSE_MS + 250); }
 
     acknowledge(number) { this.pulseAnswered = Math.max(this.pulseAnswered, number); }
 
     /** What Dash adds to the map and the ruler: blocked places, chargers out of order, event ticks, levels. */
     extra(data) {
       if (!data || data.run !== this.config.run || !this.map) return;
-      if (data.blocked) this.map.setBlocked(data.blocked, data.chargers_out || []);
+      if (data.blocked && !this.map.ground) this.map.setBlocked(data.blocked, data.chargers_out || []);
       if (data.events) { this.marks = data.events; this.ruler.stale = true; }
       if (typeof data.t_end === "number") this.end = Math.max(this.end, data.t_end);
     }
@@ -205,6 +207,7 @@
     }
 
     toggleFollow() {
+      if (this.map.ground && !this.map.follow) this.select({ kind: "vehicle", id: 0 });   // there is only one
       if (!this.selection || this.selection.kind !== "vehicle") {
         wl.notify("Follow", "Select a vehicle first, on the map or in the fleet table.", "info");
         return;
@@ -259,7 +262,9 @@
       } else {
         const label = this.map.cellName(target.place), spot = !this.map.network ? "cell" : this.map.laneAt.has(target.place) ? "lane" : "node";
         add("Centre here", () => this.map.centreOn(target));
-        if (live) {
+        if (this.map.ground) {
+          if (live) this._groundMenu(add, target.place, label);
+        } else if (live) {
           if (target.kind === "charger") {
             const charger = this.map.chargerAt.get(target.place), out = this.map.chargersOut.has(charger.place);
             const index = this.floor.chargers.indexOf(charger);
@@ -277,6 +282,14 @@
       openMenu(this.map.describe(target), items, x, y);
     }
 
+    /** Another goal, and obstacles: dropped and removed while the robot drives. */
+    _groundMenu(add, place, label) {
+      add("Send the robot here", () => wl.command({ do: "send", vehicle: 0, place }));
+      if (this.map.ground.obstacleAt(place)) { add("Remove the obstacle", () => wl.command({ do: "unblock", place, whole: 1, label })); return; }
+      add("Drop an obstacle here, one cell", () => wl.command({ do: "block", place, label }));
+      add(`Drop an obstacle here, ${2 * BOULDER_M} m wide`, () => wl.command({ do: "block", place, radius_m: BOULDER_M, label }));
+    }
+
     /** What can be done with a vehicle in its present state; the engine has the last word, and says why not. */
     _vehicleMenu(add, v, live) {
       const { state, flags, soc } = this.map.frame, is = (...states) => states.includes(state[v]);
@@ -287,7 +300,7 @@
       if (!is(FAULT, PAUSED) && task !== TO_PICK && task !== TO_DROP) add("Send to…", () => this.send(v));
       if (is(PAUSED)) command("Continue", "continue");
       else if (!is(FAULT)) command("Pause", "pause");
-      if (!is(TO_CHARGER, CHARGING, FAULT) && soc[v] !== FULL_SOC) command("Charge now", "charge");
+      if (!this.map.ground && !is(TO_CHARGER, CHARGING, FAULT) && soc[v] !== FULL_SOC) command("Charge now", "charge");
       if (task === TO_PICK && !is(LOADING)) add("Withdraw its order…", () => this.withdrawOf(v));
       command(...(is(FAULT) ? ["Repair", "repair"] : ["Break down…", "fail"]));
     }

@@ -14,6 +14,12 @@
     ["waiting", "waiting_s", (value, like = value) => (like < 5400 ? `${whole(value)} s` : `${(value / 3600).toFixed(1)} h`)],
   ];
 
+  /** Seconds on a chart's date axis, which would read a whole number of two or four digits as a year. */
+  const onAxis = (seconds) => {
+    const ms = seconds * 1000;
+    return Number.isInteger(ms) && ((ms >= 10 && ms < 100) || (ms >= 1000 && ms < 10000)) ? ms + 0.25 : ms;
+  };
+
   class Comparison extends wl.Player {
     /** config: runs [{letter, run, label, fleet}], t_end (s) of the longest, tick_s. */
     constructor(config) {
@@ -112,7 +118,8 @@
         const host = document.getElementById(`numbers-${run.letter}`);
         if (!host) continue;
         const over = told.time_s > run.end_s + 1e-9 ? [el("span", { class: "wl-run-over" }, `ended at ${wl.clock(run.end_s)}`)] : [];
-        host.replaceChildren(...NUMBERS.map(([word, key, text]) => el("span", {}, `${word} `, el("b", {}, text(run[key])),
+        const numbers = this.map && this.map.ground ? NUMBERS.filter(([, key]) => key !== "orders_done") : NUMBERS;
+        host.replaceChildren(...numbers.map(([word, key, text]) => el("span", {}, `${word} `, el("b", {}, text(run[key])),
           run.letter === "A" ? null : el("small", {}, ` ${signed(run[key] - told.runs[0][key], text, run[key])}`))), ...over);
         host.dataset.t = String(told.time_s);
       }
@@ -136,12 +143,13 @@
     /** The moment shown, as a line in each chart. */
     _playhead(now) {
       if (!window.Plotly) return;
+      const at = onAxis(this.time);
       for (const id of CHARTS) {
         const chart = document.querySelector(`#${id} .js-plotly-plot`);
         const shapes = chart && chart.layout && chart.layout.shapes;
-        if (!shapes || !shapes.length || shapes[0].x0 === this.time * 1000) continue;
+        if (!shapes || !shapes.length || shapes[0].x0 === at) continue;
         this.headAt = now;
-        window.Plotly.relayout(chart, { "shapes[0].x0": this.time * 1000, "shapes[0].x1": this.time * 1000 });
+        window.Plotly.relayout(chart, { "shapes[0].x0": at, "shapes[0].x1": at });
       }
     }
 

@@ -7,13 +7,13 @@ is the same for every j and so cancels in p_ij (`literal` equals `off`, choice b
 acts, β_eff = β (1−ξ)/ξ · (K−k)/K. Evaporation is global; τ keeps within bounds; an ant in a dead end goes back.
 
 Promise: legal by the shared timer; no bound on the length. The shortest way is what A* finds, exactly and in less
-time: every study and lesson shows it beside. Cost: iterations × (a power per step of the floor + ants × steps).
+time: every result shows it beside. Cost: iterations × (a power per step of the floor + ants × steps).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from engine.energy import CostTable
 from engine.errors import unknown_name
+from engine.planners.astar import AStar
 from engine.planners.base import Memory, Promise, View
 from engine.planners.kernels import ants as kernels
 from engine.planners.routes import edges_along, floor_of
@@ -149,6 +150,21 @@ class Aco:
             int(out[kernels.LOST]), int(out[kernels.CHOICES]), int(out[kernels.EXPLOITED]),
             int(out[kernels.RETREATS]), columns,
         )  # fmt: skip
+
+    def beside(self, floor: Floor) -> Mapping[str, Callable[[int, int, int], I32]]:
+        """See Compared: these ants, the classic ones, and A*, whose ways are the shortest."""
+        classic = replace(self, rule="classic")
+        exact = AStar("manhattan" if floor.grounds.step.shape[1] == 4 else "octile")
+
+        def shortest(start: int, goal: int, seed: int) -> I32:
+            places: I32 = floor.graph.state_place[exact.search(floor, start, goal).states]
+            return places
+
+        return {
+            "aco": lambda start, goal, seed: self.search(floor, start, goal, seed).places,
+            "classic ant system": lambda start, goal, seed: classic.search(floor, start, goal, seed).places,
+            "A*": shortest,
+        }
 
     def init(self, graph: MotionGraph, costs: CostTable, rng: np.random.Generator) -> Memory:
         """The seed of the run's colonies, and how many there were."""

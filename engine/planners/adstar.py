@@ -145,6 +145,16 @@ class Search:
         """True when there is nothing left to do until something changes."""
         return self.solved and self.epsilon == 1
 
+    @property
+    def begun(self) -> int:
+        """Searches from nothing, the first among them."""
+        return int(self.now[kernel.BEGUN])
+
+    def settled(self) -> tuple[I64, I64]:
+        """(S,) present costs to the goal, kernel.INF where unknown; and the pass in which they were last lowered, 0 for
+        none. Whatever is expanded changes one of them, so that two moments tell the states between."""
+        return self.node[:, kernel.G].copy(), self.node[:, kernel.WORD] >> kernel.PASS
+
     def frontier(self) -> tuple[I32, I32]:
         """States in OPEN and in INCONS, each once, ascending."""
         size, held = int(self.now[kernel.SIZE]), int(self.now[kernel.HELD])
@@ -228,12 +238,14 @@ class Search:
         kernel.touch(self.lattice, self.open, states)
         self.solved = False
 
+    def touched(self, states: I32) -> float:
+        """Which share of the states seen so far these are."""
+        among = int((self.node[states, kernel.RHS] < kernel.INF).sum())
+        return among / max(int((self.node[:, kernel.RHS] < kernel.INF).sum()), 1)
+
     def _much(self, states: I32) -> bool:
         """True when so many of the states seen so far are touched that a new search is cheaper than repair."""
-        if self.options.share >= 1:
-            return False
-        touched = int((self.node[states, kernel.RHS] < kernel.INF).sum())
-        return touched > self.options.share * max(int((self.node[:, kernel.RHS] < kernel.INF).sum()), 1)
+        return self.options.share < 1 and self.touched(states) > self.options.share
 
     def retarget(self, goal_cell: int) -> None:
         """Plan anew to another cell."""

@@ -6,7 +6,7 @@ A planner is a frozen value whose fields are its parameters. `init` makes its me
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -283,6 +283,18 @@ class Router(Protocol):
         ...
 
 
+@runtime_checkable
+class Compared(Protocol):
+    """A router in whose results other methods stand beside it."""
+
+    def beside(self, floor: Any) -> Mapping[str, Callable[[int, int, int], I32]]:
+        """Who answers the same queries on a `single.Floor`: name → (start, goal, seed) → places, empty without a way.
+
+        The router itself comes first, and last one that is exact.
+        """
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """A field of a planner that a person may set."""
@@ -294,17 +306,32 @@ class Parameter:
     help: str = ""
 
 
-def configured(cls: type, parameters: Mapping[str, object]) -> Any:
-    """An instance of a frozen planner dataclass with these parameters. Raises ScenarioError on unknown names."""
+KINDS: Mapping[type, tuple[str, Callable[[Any], bool]]] = {
+    bool: ("true or false", lambda value: isinstance(value, bool)),
+    int: ("a whole number", lambda value: not isinstance(value, bool) and isinstance(value, int)),
+    float: ("a number", lambda value: not isinstance(value, bool) and isinstance(value, int | float)),
+    str: ("a text", lambda value: isinstance(value, str)),
+}
+"""What a parameter must be, by the type of its default."""
+
+
+def configured(cls: type, parameters: Mapping[str, object], name: str = "") -> Any:
+    """An instance of a frozen planner dataclass with these parameters. Raises ScenarioError on unknown names and on
+    values of another type. name: of the planner, as a person writes it.
+    """
     from dataclasses import fields
 
     from engine.errors import ScenarioError, unknown_name
 
+    whose = name or cls.__name__
     known = {f.name: f for f in fields(cls)}
-    for name in parameters:
-        if name not in known:
-            raise ScenarioError(unknown_name(f"parameter of {cls.__name__}", name, known))
+    for key, value in parameters.items():
+        if key not in known:
+            raise ScenarioError(unknown_name(f"parameter of {whose}", key, known))
+        expected, fits = KINDS.get(type(known[key].default), ("", lambda value: True))
+        if not fits(value):
+            raise ScenarioError(f"{whose}: {key}: got {value!r}, expected {expected}")
     try:
         return cls(**parameters)
     except (TypeError, ValueError) as why:
-        raise ScenarioError(f"{cls.__name__}: {why}") from why
+        raise ScenarioError(f"{whose}: {why}") from why

@@ -13,6 +13,8 @@ from engine.replay import looks
 from engine.types import StationKind
 from engine.world.floor import ONE_WAY, GridWorld, World
 from engine.world.network import NetworkWorld
+from engine.world.surface import shade
+from engine.world.terrain import TerrainWorld
 
 PIXELS_PER_SIDE = 2048
 """The floor's picture is no larger, however many cells there are."""
@@ -50,6 +52,12 @@ def log_floor(static: Callable[..., None], world: World, view: View2D) -> None:
         metres = view.cell_m / per_cell
         static(looks.FLOOR, rr.SegmentationImage(picture), rr.Transform3D(scale=[metres, metres, 1.0]))
         _log_one_way(static, world, view)
+    elif isinstance(world, TerrainWorld):
+        terrain = world.terrain
+        ground = looks.ground_colours(terrain.height_m, shade(terrain.height_m, view.cell_m), terrain.friction)
+        ground[terrain.obstacle] = looks.OBSTACLE
+        scale = [view.cell_m, view.cell_m, 1.0]
+        static(looks.FLOOR, rr.Image(ground[::-1, :, :3]), rr.Transform3D(scale=scale))
     elif isinstance(world, NetworkWorld):
         arcs = xy[[(arc.a, arc.b) for arc in world.arcs]]
         static(looks.FLOOR, rr.LineStrips2D(arcs, colors=(96, 112, 134, 255), radii=0.02 * view.cell_m))

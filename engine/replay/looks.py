@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from engine.types import VehicleState
 
@@ -36,6 +38,25 @@ ORDERS = "orders"
 TOTALS = "totals"
 EVENTS = "events"
 COMMANDS = "events/commands"
+
+GROUND = "ground"
+TERRAIN = "ground/terrain"
+SEEN = "ground/seen"
+OBSTACLES = "ground/obstacles"
+DROPPED = "ground/dropped"
+FRONTIER_OPEN = "ground/open"
+FRONTIER_INCONS = "ground/incons"
+WAYS = "ground/ways"
+DRIVEN = "ground/driven"
+CLUSTER = "ground/trajectories"
+ROBOT_POSE = "ground/robot"
+GOAL = "ground/goal"
+ALL_TRAJECTORIES = "cluster"
+POWER = "power"
+EPSILON = "search/epsilon"
+EXPANDED = "search/expanded"
+SIZE_OPEN = "search/frontier/open"
+SIZE_INCONS = "search/frontier/incons"
 
 BACKGROUND: RGBA = (18, 22, 28, 255)
 FLOOR_CLASSES: dict[str, tuple[int, str, RGBA]] = {
@@ -131,6 +152,76 @@ WIDE_CELLS = 60
 """On a wider floor vehicles are drawn at a constant size on the screen, or nobody would see them."""
 
 
+OBSTACLE: RGBA = (104, 112, 126, 255)
+DROPPED_COLOUR: RGBA = (248, 81, 73, 255)
+OPEN_COLOUR: RGBA = (160, 255, 180, 255)
+INCONS_COLOUR: RGBA = (255, 90, 200, 255)
+GOAL_COLOUR: RGBA = (248, 210, 60, 255)
+ROBOT: RGBA = (245, 150, 40, 255)
+SEARCH_CURVES: dict[str, tuple[str, RGBA]] = {
+    EPSILON: ("ε: proven bound", (255, 159, 67, 255)),
+    EXPANDED: ("states expanded", (91, 192, 222, 255)),
+    SIZE_OPEN: ("in OPEN", OPEN_COLOUR),
+    SIZE_INCONS: ("in INCONS", INCONS_COLOUR),
+}
+LOW, MIDDLE, HIGH = (70, 118, 74), (170, 160, 104), (236, 226, 206)
+"""Colours of the ground from its lowest to its highest point."""
+ROUGH = (150, 96, 70)
+"""Ground that resists rolling more than usual leans towards this."""
+EPSILON_SPAN = (1.0, 2.5)
+"""ε over which the colours of ways run; the paper begins with 2.5."""
+POWER_SPAN_W = (40.0, 220.0)
+"""Power of driving over which the driven path's colours run."""
+
+
+def _between(share: Any, *colours: tuple[int, int, int]) -> Any:
+    """(..., 3) colours at shares 0…1 of an evenly spaced ramp."""
+    at = np.linspace(0, 1, len(colours))
+    return np.stack([np.interp(share, at, [colour[i] for colour in colours]) for i in range(3)], -1)
+
+
+def _solid(rgb: Any) -> NDArray[np.uint8]:
+    """(..., 4) opaque colours."""
+    rounded = np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
+    return np.concatenate([rounded, np.full((*rounded.shape[:-1], 1), 255, np.uint8)], -1)
+
+
+def ground_colours(height_m: Any, light: Any, friction: Any) -> NDArray[np.uint8]:
+    """(..., 4) colours of ground by its height, light 0…1 and friction factor."""
+    low, high = float(np.min(height_m)), float(np.max(height_m))
+    rgb = _between((height_m - low) / max(high - low, 1e-9), LOW, MIDDLE, HIGH)
+    lean = np.clip((np.asarray(friction)[..., None] - 1) * 0.6, 0, 0.7)
+    rgb = rgb * (1 - lean) + np.array(ROUGH) * lean
+    return _solid(rgb * (0.25 + 0.95 * np.asarray(light)[..., None]))
+
+
+def pale(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The same ground before anybody has seen it: nearly grey, and dim."""
+    rgb = colours[..., :3].astype(np.float64)
+    grey = rgb.mean(-1, keepdims=True) * np.array([0.92, 0.98, 1.1])
+    return _solid((0.2 * rgb + 0.8 * grey) * 0.62)
+
+
+def ramp(watts: Any) -> NDArray[np.uint8]:
+    """(N, 4) colours of the driven path by power in watts: green, yellow, red."""
+    low, high = POWER_SPAN_W
+    share = np.clip((np.asarray(watts, np.float64) - low) / (high - low), 0, 1)
+    return _solid(_between(share, (63, 185, 80), (248, 210, 90), (248, 81, 73)))
+
+
+def way(bound: int) -> str:
+    """Entity path of the ways published with an ε in thousandths."""
+    return f"{WAYS}/epsilon-{bound / 1000:g}"
+
+
+def epsilon_colour(bound: int) -> RGBA:
+    """Colour of a way by its ε in thousandths: from orange to blue, the cheapest."""
+    low, high = EPSILON_SPAN
+    share = np.clip((bound / 1000 - low) / (high - low), 0, 1)
+    r, g, b = np.rint(_between(share, (56, 165, 255), (190, 120, 235), (255, 145, 40))).astype(int).tolist()
+    return r, g, b, 255
+
+
 def vehicle_name(vehicle: int) -> str:
     """What a person calls a vehicle."""
     return f"AGV {vehicle}"
@@ -221,9 +312,94 @@ def blueprint(*, width_m: float, height_m: float, vehicles: int) -> Any:
     )
 
 
-def blueprint_beside(names: Mapping[str, str], *, width_m: float, height_m: float, vehicles: int) -> Any:
+def ground_blueprint(*, width_m: float, height_m: float) -> Any:
+    """Terrain: the 3-D view in front, the map behind it, events and trajectories beside it, curves below."""
+    span, corner = _whole_run(), rrb.PlotLegend("LeftTop")
+    soc = rrb.TimeSeriesView(
+        origin="battery",
+        contents=[f"+ {SOC}", f"+ {SOC_LEVELS}/**"],
+        name="State of charge [%]",
+        axis_x=span,
+        axis_y=rrb.ScalarAxis(range=(0.0, 105.0)),
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+
+    def curve(origin: str, name: str) -> Any:
+        return rrb.TimeSeriesView(origin=origin, name=name, axis_x=span, plot_legend=corner)
+
+    log = rrb.TextLogView(
+        origin=EVENTS,
+        name="Events",
+        columns=rrb.TextLogColumns(timeline_columns=["sim_time"], text_log_columns=["LogLevel", "Body"]),
+    )
+    edge = 0.03 * max(width_m, height_m)
+    flat = rrb.Spatial2DView(
+        origin=MAP,
+        name="Map",
+        background=rrb.Background(color=BACKGROUND),
+        visual_bounds=rrb.VisualBounds2D(x_range=[-edge, width_m + edge], y_range=[-edge, height_m + edge]),
+    )
+    cluster = rrb.Spatial2DView(
+        origin=ALL_TRAJECTORIES, name="All trajectories", background=rrb.Background(color=BACKGROUND)
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                rrb.Tabs(_ground_view("Ground", "", width_m, height_m), flat, active_tab=0),
+                rrb.Vertical(cluster, log, row_shares=[1, 1]),
+                column_shares=[7, 2],
+            ),
+            rrb.Horizontal(
+                rrb.Tabs(curve(POWER, "Power [W]"), curve(ENERGY, "Energy drawn [kJ]"), active_tab=0),
+                rrb.Tabs(
+                    curve(EPSILON, "ε"),
+                    curve(EXPANDED, "States expanded"),
+                    curve(f"{SIZE_OPEN.rsplit('/', 1)[0]}", "OPEN and INCONS"),
+                    active_tab=0,
+                ),
+                soc,
+            ),
+            row_shares=[3, 1],
+        ),
+        _time_panel(),
+        auto_views=False,
+        auto_layout=False,
+        collapse_panels=True,
+    )
+
+
+def _ground_view(name: str, root: str, width_m: float, height_m: float, away: float = 1.0) -> Any:
+    """The 3-D view of a run whose entities stand below a root; what is seen and driven adds up to the time shown.
+
+    away: how much farther off it is seen from than fills a wide view.
+    """
+    below = f"/{root}/" if root else "/"
+    until_now = rrb.VisibleTimeRanges(
+        timeline="sim_time",
+        start=rrb.TimeRangeBoundary.infinite(),
+        end=rrb.TimeRangeBoundary.cursor_relative(seconds=0.0),
+    )
+    return rrb.Spatial3DView(
+        origin=f"{below}{GROUND}",
+        name=name,
+        background=rrb.Background(color=BACKGROUND),
+        line_grid=False,
+        overrides={f"{below}{path}": until_now for path in (SEEN, DRIVEN)},
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(0.5 * width_m, (0.4 - 0.68 * away) * height_m, 0.52 * away * max(width_m, height_m)),
+            look_target=(0.5 * width_m, 0.4 * height_m, 0.0),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+    )
+
+
+def blueprint_beside(names: Mapping[str, str], *, width_m: float, height_m: float, vehicles: int, ground: bool) -> Any:
     """The floors of several runs beside each other, below them what each comes to. names: by root, such as "A"."""
-    floors = [_floor(name, root, width_m, height_m, vehicles) for root, name in names.items()]
+    if ground:
+        floors = [_ground_view(name, root, width_m, height_m, away=1.4) for root, name in names.items()]
+    else:
+        floors = [_floor(name, root, width_m, height_m, vehicles) for root, name in names.items()]
     totals = [
         rrb.TimeSeriesView(
             origin="/",
@@ -233,6 +409,7 @@ def blueprint_beside(names: Mapping[str, str], *, width_m: float, height_m: floa
             plot_legend=rrb.PlotLegend("LeftTop"),
         )
         for total, text in TOTAL_WORDS.items()
+        if not ground or total != "orders_done"  # a robot on terrain has none
     ]
     log = rrb.TextLogView(
         origin="/",

@@ -22,6 +22,7 @@ from engine.results.schema import LIST, TABLES
 from engine.results.view import RunView
 from engine.scenario.model import Scenario
 from engine.world.floor import World
+from engine.world.terrain import TerrainWorld
 
 TOTAL_POINTS = 2000
 """Points of each curve of runs beside each other."""
@@ -54,7 +55,13 @@ def rebuild_beside(
     """
     first = next(iter(views.values()))
     floor = View2D(first.world)
-    blueprint = looks.blueprint_beside(names, width_m=floor.width_m, height_m=floor.height_m, vehicles=first.n)
+    blueprint = looks.blueprint_beside(
+        names,
+        width_m=floor.width_m,
+        height_m=floor.height_m,
+        vehicles=first.n,
+        ground=isinstance(first.world, TerrainWorld),
+    )
     title = f"{first.scenario.title} · {' · '.join(names.values())}"
     with _replacing(Path(path)) as part:
         recording = Recording(part, f"beside-{Path(path).stem}", title, blueprint)

@@ -21,6 +21,7 @@ from engine.energy import battery_of
 from engine.errors import RunError
 from engine.replay import looks
 from engine.replay.floor_map import View2D, log_floor
+from engine.replay.ground import GroundRecorder
 from engine.replay.recording import Recording
 from engine.replay.sampler import HeldPlaces, MotionSampler, StepSampler, Window, flatten
 from engine.replay.tallies import DONE, GROUPS, OPEN, RATE, OrderCounts, Shares
@@ -29,6 +30,7 @@ from engine.results.schema import ENERGY_COLUMNS
 from engine.scenario.model import Scenario
 from engine.types import COMPONENTS, FOREVER, VehicleState
 from engine.world.floor import World
+from engine.world.terrain import TerrainWorld
 
 I64 = NDArray[np.int64]
 
@@ -101,6 +103,7 @@ class RerunRecorder:
         self._part = self._file.part(root, self._tick_s)
         self._send = self._part.send
         log_floor(self._part.static, self._world, self._view)
+        self._ground = GroundRecorder(self._part, world, self._tick_s) if isinstance(world, TerrainWorld) else None
         self._log_styles()
 
     # ---------------------------------------------------------------------------------------------- recorder
@@ -112,6 +115,8 @@ class RerunRecorder:
         rows, count = checked(table, columns)
         if not count:
             return
+        if self._ground is not None:
+            self._ground.write(table, rows)
         match table:
             case "motions":
                 self._motions.add(rows)
@@ -123,6 +128,8 @@ class RerunRecorder:
                 self._add_first_states(rows)
                 self._tick_end = max(self._tick_end, int(rows["tick"].max()))
                 self._emit(int(rows["tick"].max()))
+            case "searches":
+                self._tick_end = max(self._tick_end, int(rows["tick"].max()))
             case _:
                 if table == "states":
                     self._states.add(rows["tick"], rows["vehicle"], rows["state"])
@@ -171,7 +178,10 @@ class RerunRecorder:
 
     def _new_file(self, path: Path | str, run_id: str) -> Recording:
         view = self._view
-        blueprint = looks.blueprint(width_m=view.width_m, height_m=view.height_m, vehicles=self._n)
+        if isinstance(self._world, TerrainWorld):
+            blueprint = looks.ground_blueprint(width_m=view.width_m, height_m=view.height_m)
+        else:
+            blueprint = looks.blueprint(width_m=view.width_m, height_m=view.height_m, vehicles=self._n)
         return Recording(path, run_id, f"{self._scenario.title} · {run_id}", blueprint)
 
     def _log_styles(self) -> None:
@@ -181,7 +191,7 @@ class RerunRecorder:
         names = [looks.vehicle_name(v) for v in range(n)]
         colours = [looks.vehicle_colour(v) for v in range(n)]
         # A negative radius is one on the screen.
-        body, load = (-4.0, -1.5) if self._view.wide else (0.36 * cell, 0.15 * cell)
+        body, load, route = (-4.0, -1.5, -1.0) if self._view.wide else (0.36 * cell, 0.15 * cell, 0.035 * cell)
         static(looks.VEHICLES, rr.Points2D.from_fields(radii=body, show_labels=False))
         names_above = rr.Points2D.from_fields(
             labels=[str(v) for v in range(n)],
@@ -233,9 +243,7 @@ class RerunRecorder:
             static(looks.lane(vehicle, n), lane)
             static(
                 looks.route(vehicle),
-                rr.LineStrips2D.from_fields(
-                    colors=looks.vehicle_colour(vehicle), radii=0.035 * cell, show_labels=False
-                ),
+                rr.LineStrips2D.from_fields(colors=looks.vehicle_colour(vehicle), radii=route, show_labels=False),
             )
 
     def _named(self, curve: str) -> str:
@@ -266,6 +274,8 @@ class RerunRecorder:
                 self._sampled, self._step = 0, 2 * self._step
                 self._next = -(-self._next // self._step) * self._step
         self._batch = min(2 * self._batch, self._max_batch)
+        if self._ground is not None:
+            self._ground.emit()
         self._send_rows(until, last=last)
         self._file.flush()
 

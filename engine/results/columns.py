@@ -114,6 +114,8 @@ def dtype_of(kind: str) -> Any:
 
 
 def grown(array: Any, filled: int, part: Any) -> Any:
+    if not len(part):
+        return array  # it may be an adopted one, which can't be written to
     need = filled + len(part)
     if need > len(array):
         if filled == 0 and len(part):

@@ -35,6 +35,7 @@ from engine.types import (
 )
 from engine.world.floor import World
 from engine.world.poses import Poses
+from engine.world.terrain import TerrainWorld
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -208,6 +209,8 @@ class RunView:
         share = np.where(moving, now.share, 0.0)
         start, end = self._xy[c["from_place"]], self._xy[c["to_place"]]
         xy = start + (end - start) * share[:, None]
+        if isinstance(self.world, TerrainWorld):
+            self._along(self.world, xy, c, share)
         h0, h1 = self._heading[c["from_heading"]], self._heading[c["to_heading"]]
         heading = (h0 + ((h1 - h0 + 180.0) % 360.0 - 180.0) * share) % 360.0
         soc = self._soc_at(np.arange(self.n), time)
@@ -225,6 +228,15 @@ class RunView:
             order=self._order_at(time, now).astype(np.int32),
             place=np.where(arrived, c["to_place"], c["from_place"]).astype(np.int32),
         )
+
+    def _along(self, world: TerrainWorld, xy: F64, c: dict[str, NDArray[np.int64]], share: F64) -> None:
+        """Move positions from the chord to the trajectory that is driven."""
+        for v in np.flatnonzero(c["kind"] >= PRIMITIVE_0).tolist():
+            place, heading = int(c["from_place"][v]), int(c["from_heading"][v])
+            kind = int(c["kind"][v] - PRIMITIVE_0)
+            k = world.trajectory(place, heading, int(c["to_place"][v]), int(c["to_heading"][v]), kind)
+            if k != NONE:
+                xy[v] = world.along(place, heading, k, float(share[v]))
 
     def _state_at(self, time: float, now: _Now) -> NDArray[np.uint8]:
         state = _STATE_OF_GROUP[GROUP[np.clip(now.col["kind"], 0, 127)]]

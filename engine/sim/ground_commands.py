@@ -6,14 +6,20 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.errors import BadInput
 from engine.sim.commands import Refused
 from engine.types import NONE
 from engine.world.lattice import HEADINGS
+from engine.world.terrain import disc
 
 if TYPE_CHECKING:
     from engine.sim.roaming import Roaming
+
+I32 = NDArray[np.int32]
+WIDEST_M = 3.0
+"""Radius of the largest obstacle that is dropped."""
 
 
 def _vehicle(v: int) -> None:
@@ -72,43 +78,58 @@ def _send(sim: Roaming, vehicle: int, place: int) -> str:
     return f"vehicle 0 goes to {cell}"
 
 
-def _block(sim: Roaming, place: int) -> str:
+def _block(sim: Roaming, place: int, radius_m: float = 0.0) -> str:
+    """An obstacle in one cell, or a round one about it."""
     cell = _place(sim, place)
+    if not 0 <= radius_m <= WIDEST_M:
+        raise BadInput(f"'radius_m' must be from 0 to {WIDEST_M:g}; got {radius_m:g}")
     y, x = divmod(place, sim.world.width)
     if sim.truth.obstacle[y, x]:
         raise Refused(f"there is an obstacle in {cell} already")
-    if _in_the_way(sim, x, y):
-        raise Refused(f"vehicle 0 is in {cell}, or about to be")
-    _set(sim, place, True)
-    return f"an obstacle stands in {cell}"
+    cells = disc(radius_m / sim.world.grain_m) + np.array([x, y], np.int32)
+    cells = cells[((cells >= 0) & (cells < [sim.world.width, sim.world.height])).all(1)]
+    cells = cells[sim.truth.obstacle[cells[:, 1], cells[:, 0]] == 0]
+    if _in_the_way(sim, cells):
+        raise Refused(f"vehicle 0 is in {cell}, or about to be" if radius_m == 0 else
+                      f"vehicle 0 is within {radius_m:g} m of {cell}, or about to be")  # fmt: skip
+    _set(sim, place, cells, True)
+    return f"an obstacle stands in {cell}" if radius_m == 0 else f"an obstacle stands {radius_m:g} m around {cell}"
 
 
-def _unblock(sim: Roaming, place: int) -> str:
+def _unblock(sim: Roaming, place: int, whole: float = 0.0) -> str:
+    """Free one cell, or take away the whole obstacle that it belongs to."""
     cell = _place(sim, place)
-    if not sim.truth.obstacle.flat[place]:
+    y, x = divmod(place, sim.world.width)
+    if not sim.truth.obstacle[y, x]:
         raise Refused(f"there is no obstacle in {cell}")
-    _set(sim, place, False)
-    return f"{cell} is free again"
+    cells = np.array([[x, y]], np.int32)
+    if whole:
+        from scipy.ndimage import label
+
+        parts, _ = label(sim.truth.obstacle, np.ones((3, 3)))
+        cells = np.argwhere(parts == parts[y, x])[:, ::-1].astype(np.int32)
+    _set(sim, place, cells, False)
+    return f"{cell} is free again" if len(cells) == 1 else f"the obstacle of {len(cells)} cells at {cell} is gone"
 
 
-def _in_the_way(sim: Roaming, x: int, y: int) -> bool:
-    """True when the robot's body covers a cell where it stands or on the motion under way."""
+def _in_the_way(sim: Roaming, cells: I32) -> bool:
+    """True when the robot's body covers one of these cells where it stands or on the motion under way."""
     cell, h = divmod(sim.state, HEADINGS)
     at = np.array([divmod(cell, sim.world.width)[::-1]])
     if sim.k != NONE:
         at = at + sim.cluster.swept[h, sim.k, : sim.cluster.n_swept[h, sim.k]]
-    body = {(dx, dy) for dx, dy in sim.truth.body.tolist()}
-    return any((x - ax, y - ay) in body for ax, ay in at.tolist())
+    body = {(ax + dx, ay + dy) for ax, ay in at.tolist() for dx, dy in sim.truth.body.tolist()}
+    return any((x, y) in body for x, y in cells.tolist())
 
 
-def _set(sim: Roaming, place: int, stands: bool) -> None:
-    """Put an obstacle into a cell, or take it away; the robot learns of it when it sees it."""
-    y, x = divmod(place, sim.world.width)
+def _set(sim: Roaming, place: int, cells: I32, stands: bool) -> None:
+    """Put an obstacle into cells (N, 2), or take it away; the robot learns of it when it sees it."""
+    x, y = cells.T
     true = sim.truth
-    one = np.array([[x, y]], np.int32)
-    true.see(one, true.height[y, x], np.array([stands], np.uint8), true.friction[y, x])
-    sim.blocked[place] = int(stands)
-    sim.ledger.row("blocks", sim.tick, place, int(stands))
+    true.see(cells, true.height[y, x], np.full(len(cells), stands, np.uint8), true.friction[y, x])
+    for at in (y * sim.world.width + x).tolist():
+        sim.blocked[at] = int(stands)
+        sim.ledger.row("blocks", sim.tick, at, int(stands))
     sim.say("blocked" if stands else "unblocked", sim.world.label(place), int(stands), NONE, place)
     if sim.k == NONE:
         sim.look()
@@ -120,7 +141,7 @@ COMMANDS: dict[str, tuple[Callable[..., str], dict[str, Any]]] = {
     "continue": (_continue, {"vehicle": int}),
     "fail": (_fail, {"vehicle": int}),
     "repair": (_repair, {"vehicle": int}),
-    "block": (_block, {"place": int}),
-    "unblock": (_unblock, {"place": int}),
+    "block": (_block, {"place": int, "radius_m": None}),
+    "unblock": (_unblock, {"place": int, "whole": None}),
 }
-"""What may be said: who does it, and its fields."""
+"""What may be said: who does it, and its fields; those without a type may be left out."""

@@ -374,14 +374,11 @@ class Roaming:
     def snapshot(self, ahead: float = 0.0) -> Poses:
         """Pose at a fraction of a tick (0 ≤ ahead < 1) after the present one, on the trajectory that is driven."""
         cell, h = divmod(self.state, HEADINGS)
-        xy, to = self.graph.xy_m[cell].astype(np.float64), self.after() % HEADINGS
+        xy, to = self.graph.xy_m[cell].tolist(), self.after() % HEADINGS
         part = 0.0
         if self.k != NONE:
             part = min(max((self.tick + ahead - self.t0) / max(self.t1 - self.t0, 1), 0.0), 1.0)
-            n = int(self.cluster.pieces[h, self.k])
-            points = self.cluster.point[h, self.k, : n + 1]
-            at = np.arange(n + 1) / max(n, 1)
-            xy += np.array([np.interp(part, at, points[:, i]) for i in range(2)]) * self.world.grain_m
+            xy = self.world.along(cell, h, self.k, part)
         turn = (to - h + HEADINGS // 2) % HEADINGS - HEADINGS // 2
         soc = self.sampled / self.parts.battery.capacity_mc
 

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy import stats
@@ -181,6 +181,29 @@ def study(name: str) -> Study:
 def counted(study: Study) -> str:
     """What a study's `maps` are, in the plural: maps, unless it has a `counted` that says otherwise."""
     return str(getattr(study, "counted", "maps"))
+
+
+class Beside(NamedTuple):
+    """Runs of a scenario under several planners, to be seen beside each other.
+
+    planners: each `name` or `name:objective` · length: such as `10h`, the scenario's own when empty · seed: the
+    scenario's own when None · changes: dotted key → value over the scenario.
+    """
+
+    scenario: str
+    planners: tuple[str, ...]
+    length: str = ""
+    seed: int | None = None
+    changes: Mapping[str, Any] = {}
+
+
+def beside(study: Study, record: Mapping[str, Any], row: Mapping[str, Any] | None = None) -> Beside | None:
+    """The runs that a row of a result is about, or without a row the study's methods; None where there are none.
+
+    A study whose methods run in a scenario has a `beside(record, row)` that says so. record: a result as plain values.
+    """
+    asked = getattr(study, "beside", None)
+    return None if asked is None else asked(record, row)
 
 
 # -- cells ------------------------------------------------------------------------------------------------------------

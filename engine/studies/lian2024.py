@@ -9,6 +9,7 @@ judged. What a run computes is in lian2024_cells, rows and figures in lian2024_t
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 import assets
 from engine.build import demand_model
 from engine.studies import lian2024_table as table
-from engine.studies.base import Cell, Progress, Result, Settings, run_cells
+from engine.studies.base import Beside, Cell, Progress, Result, Settings, run_cells
 from engine.studies.lian2024_cells import SCENARIO, changed, run_cell
 from engine.studies.lian2024_figures import figures_of
 from engine.studies.lian2024_notes import notes_of
@@ -61,6 +62,30 @@ class Lian2024:
     @property
     def counted(self) -> str:
         return "seeds"
+
+    def beside(self, record: Mapping[str, Any], row: Mapping[str, Any] | None = None) -> Beside | None:
+        """The runs of a row's methods at the first seed; rows of one method get another one to compare with."""
+        known = {"hours": self.full.hours, "hours of experiments 5 and 6": self.full.side_hours, **record["parameters"]}
+        seed = 1000 * int(known["seed"])
+        if row is None:
+            names = tuple(METHODS[method][0] for method in (*PAPERS, "prioritized"))
+            return Beside(SCENARIO, names, f"{known['hours']:g}h", seed)
+        methods = _methods_in(f"{row['quantity']}, {row['case']}")
+        if row["experiment"] > 6 or not methods or "alone" in row["case"]:
+            return None
+        if len(methods) == 1:
+            methods += [TURNS if methods[0] == OWN else OWN]
+        length, changes = LENGTH.search(row["quantity"]), {}
+        hours = known["hours of experiments 5 and 6"] if row["experiment"] > 4 else known["hours"]
+        if (fleet := FLEET.search(row["case"])) is not None:
+            changes = {"fleet.count": int(fleet[1])}
+        if row["experiment"] == 6 and row["case"] != BASE:
+            driven = {case: changes for case, kind, changes in _assumptions(self.full) if kind == "run"}
+            if row["case"] not in driven:
+                return None  # other costs of the same motions, or parameters of one method alone
+            changes = driven[row["case"]]
+        planners = tuple(":".join(METHODS[method]) for method in methods[:4])
+        return Beside(SCENARIO, planners, f"{length[1]}{length[2]}" if length else f"{hours:g}h", seed, changes)
 
     def extent(self, settings: Settings) -> Extent:
         return self.quick if settings.quick else self.full
@@ -117,6 +142,23 @@ class Lian2024:
         }  # fmt: skip
 
 
+LENGTH = re.compile(r" in (?:the first )?([\d.]+) (h|min)$")
+FLEET = re.compile(r"^(\d+) AGV")
+
+
+def _methods_in(text: str) -> list[str]:
+    """The table's words for methods in a row, in the order in which they stand there."""
+    longest = sorted(METHODS, key=len, reverse=True)
+    return list(dict.fromkeys(re.findall("|".join(map(re.escape, longest)), text)))
+
+
+def _assumptions(x: Extent) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """(case, kind, changes) of both other values of every factor."""
+    for factor in x.factors:
+        for value, changes in ((factor.low, factor.low_changes), (factor.high, factor.high_changes)):
+            yield f"{factor.name} → {value}", factor.kind, changes
+
+
 Asked = tuple[int, str, str, float, dict[str, Any]]
 """Experiment, case, method, hours, and what else a cell says."""
 
@@ -131,16 +173,11 @@ def _beside(x: Extent) -> Iterator[Asked]:
     """The short runs of one seed: the slow planner, fleets, assumptions."""
     if x.slow_hours:
         yield 1, BASE, SLOW, x.slow_hours, {}
-    recost = {
-        f"{factor.name} → {value}": changes
-        for factor in x.factors if factor.kind == "energy"
-        for value, changes in ((factor.low, factor.low_changes), (factor.high, factor.high_changes))
-    }  # fmt: skip
+    recost = {case: changes for case, kind, changes in _assumptions(x) if kind == "energy"}
     for fleet in reversed(x.fleets):
         for method in PAPERS:
             again = recost if str(fleet) == AGVS and method in (OWN, TURNS) else {}
             yield 5, str(fleet), method, x.side_hours, {"changes": {"fleet.count": fleet}, "recost": again}
-    for factor in x.factors:
-        for value, changes in ((factor.low, factor.low_changes), (factor.high, factor.high_changes)):
-            for method in {"run": (OWN, TURNS), "own": (OWN,), "energy": ()}[factor.kind]:
-                yield 6, f"{factor.name} → {value}", method, x.side_hours, {"changes": changes}
+    for case, kind, changes in _assumptions(x):
+        for method in {"run": (OWN, TURNS), "own": (OWN,), "energy": ()}[kind]:
+            yield 6, case, method, x.side_hours, {"changes": changes}

@@ -26,6 +26,7 @@ from engine.scenario.floor_costs import xu2025_costs
 from engine.scenario.movingai import Instance, corner_instance, single_instance
 from engine.sim.judge import judge_plan
 from engine.studies.base import (
+    Beside,
     Cell,
     Figure,
     Progress,
@@ -86,6 +87,10 @@ NOTES = (
 )
 
 
+DRIVEN = {"E-CBS": "ecbs:energy", "time windows": "time-window:energy", "CBS": "cbs:time"}
+"""Method in the table → planner and objective of a run."""
+
+
 @dataclass(frozen=True, slots=True)
 class Xu2025:
     """tie: rule of the A* baseline · masses_kg: of experiment 3; the others have 1000 kg · parameters: over the
@@ -119,6 +124,16 @@ class Xu2025:
     @property
     def maps(self) -> tuple[int, int]:
         return 10, 100
+
+    def beside(self, record: Mapping[str, Any], row: Mapping[str, Any] | None = None) -> Beside | None:
+        """Rows of four vehicles at the density of the scenario `xu2025`, which is one of their maps, driven."""
+        if row is None:
+            return Beside("xu2025", tuple(DRIVEN.values()))
+        if row["experiment"] != 3 or row["case"] != percent(0.20):
+            return None
+        found = [(f"{row['quantity']} ".find(f" {word} "), name) for word, name in DRIVEN.items()]
+        names = tuple(name for at, name in sorted(found) if at >= 0)
+        return Beside("xu2025", names) if len(names) > 1 else None
 
     def cells(self, settings: Settings) -> list[Cell]:
         """Every map of every case as plain values."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -87,9 +88,32 @@ class TerrainWorld(World):
         y, x = divmod(place, self.width)
         return f"cell ({x}, {y})"
 
+    def trajectory(self, place: int, heading: int, to_place: int, to_heading: int, kind: int) -> int:
+        """Number of the trajectory of a kind that leads from one state to another, or -1."""
+        y, x = divmod(place, self.width)
+        to_y, to_x = divmod(to_place, self.width)
+        return _by_end(self.cluster).get((heading, to_heading, to_x - x, to_y - y, kind), NONE)
+
+    def along(self, place: int, heading: int, k: int, share: float) -> tuple[float, float]:
+        """Where in metres the robot is when it has driven a share (0…1) of trajectory k from a state."""
+        y, x = divmod(place, self.width)
+        n = int(self.cluster.pieces[heading, k])
+        points, at = self.cluster.point[heading, k, : n + 1], np.arange(n + 1) / max(n, 1)
+        dx, dy = (float(np.interp(share, at, points[:, i])) for i in range(2))
+        return (x + 0.5 + dx) * self.grain_m, (y + 0.5 + dy) * self.grain_m
+
     def floor_json(self) -> dict[str, Any]:
-        """What a browser needs to draw the ground: heights in centimetres as int16 in base64, row 0 at the bottom."""
-        heights = np.clip(np.rint(self.terrain.height_m * 100), -32768, 32767).astype("<i2")
+        """What a browser needs to draw the ground; fields per cell row by row from the bottom, in base64.
+
+        heights, prior: as they are and as they are known beforehand (null where all is known), as `packed` · friction:
+        hundredths, uint16 · cluster: (16, K, 3) ends and (16, K) lists of points, as offsets in cells.
+        Places are the cells, and are not listed.
+        """
+        cluster = self.cluster
+        points = [
+            [np.round(cluster.point[h, k, : cluster.pieces[h, k] + 1], 3).tolist() for k in range(cluster.size)]
+            for h in range(HEADINGS)
+        ]
         letters = np.where(self.terrain.obstacle, "#", ".")
         return {
             "kind": "terrain",
@@ -97,11 +121,40 @@ class TerrainWorld(World):
             "height": self.height,
             "cell_m": self.grain_m,
             "cells": ["".join(row) for row in letters],
-            "heights_cm": base64.b64encode(heights.tobytes()).decode("ascii"),
+            "heights": packed(self.terrain.height_m),
+            "prior": None if self.known.all() else packed(self.prior_m),
+            "friction": _base64(self.terrain.friction * 100),
+            "slope_limit_deg": self.terrain.slope_limit_deg,
             "sensor_m": self.sensor_m,
-            **self.spots(),
+            "body_m": self.body_m,
+            "cluster": {"ends": cluster.end.tolist(), "points": points},
+            "stations": [],
+            "chargers": [],
+            "parking": [],
             "one_way": [],
         }
+
+
+def packed(heights: F32) -> dict[str, Any]:
+    """Heights for a browser: low_m + unit_m · data, data uint16 row by row from the bottom, in base64."""
+    low = float(heights.min())
+    unit = max(float(heights.max()) - low, 1e-6) / 65535
+    return {"low_m": low, "unit_m": unit, "data": _base64((heights - low) / unit)}
+
+
+def _base64(values: NDArray[Any]) -> str:
+    """Numbers as uint16, as near as it holds them, in base64."""
+    return base64.b64encode(np.clip(np.rint(values), 0, 65535).astype("<u2").tobytes()).decode("ascii")
+
+
+@lru_cache(maxsize=8)
+def _by_end(cluster: Cluster) -> dict[tuple[int, int, int, int, int], int]:
+    """Trajectories by (heading, heading at the end, dx, dy, kind)."""
+    found = {}
+    for h, k in np.ndindex(HEADINGS, cluster.size):
+        dx, dy, to = cluster.end[h, k].tolist()
+        found[(h, to, dx, dy, int(cluster.kind[h, k]))] = k
+    return found
 
 
 def disc(radius_cells: float) -> NDArray[np.int32]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import pytest
@@ -14,12 +15,16 @@ import pytest
 from app import comparing
 from app.comparing import Comparisons, side
 from app.figures import comparing_figure
-from app.pages.compare import FROM_STUDY, choices, chosen, start, start_address
+from app.pages.compare import choices, chosen, start, start_address
+from app.pages.data import overrides_from
+from app.runner import asked_scenario
 from app.runs import RunManager
 from app.settings import Settings
+from app.study import SHIPPED, Store
 from engine.errors import BadInput, RunError
 from engine.results.runlog import LogReader, read_manifest, write_manifest
 from engine.results.view import RunView
+from engine.studies.base import Beside, beside, study
 from tests.synthetic import COMMANDS, make_run
 
 QUIET, BUSY, SHORT, SEEDED, FEWER = "a-quiet", "b-busy", "c-short", "d-seeded", "e-fewer"
@@ -253,18 +258,56 @@ def test_what_the_form_offers_and_what_an_address_fills_in(manager: RunManager) 
     ]  # fmt: skip
     assert chosen(None, offered, "quickest:time")[0] == "quickest:time"
     assert len(chosen(None, offered, "quickest:time")) == 2
-    assert start_address("lian2024") == (
-        "/compare?scenario=lian2024&planners=stochastic,astar-turns,astar-distance,prioritized"
-    )
-    assert start_address("soochow2022") is None
 
 
-@pytest.mark.parametrize("study", ["lian2024", "xu2025"])
-def test_a_studys_methods_are_offered_for_its_scenario(manager: RunManager, study: str) -> None:
-    known = FROM_STUDY[study]
-    asked = known["planners"].split(",")
-    found = chosen(known["planners"], choices(manager, known["scenario"]), "")
-    assert [value.partition(":")[0] for value in found] == [word.partition(":")[0] for word in asked]
+def test_an_address_fills_in_everything_that_runs_need() -> None:
+    runs = Beside("lian2024", ("stochastic:time", "astar-turns"), "10h", 11000, {"orders.source": "poisson", "a.b": 2})
+    address = start_address(runs)
+    assert address.startswith("/compare?scenario=lian2024&planners=stochastic:time,astar-turns&length=10h&seed=11000&")
+    query = dict(parse_qsl(urlsplit(address).query))
+    assert overrides_from(query["set"]) == runs.changes
+    assert start_address(Beside("xu2025", ("cbs",))) == "/compare?scenario=xu2025&planners=cbs"
+
+
+@pytest.mark.parametrize("name", ["lian2024", "xu2025"])
+def test_the_rows_of_a_study_offer_runs_that_can_be_started(manager: RunManager, name: str) -> None:
+    """Whatever a row asks for, planners and parameters, is known to its scenario; so are all of a study's methods."""
+    found = study(name)
+    record = Store(manager.settings.data).record(name, SHIPPED)
+    asked = {runs for row in record["rows"] if (runs := _plain(beside(found, record, row)))}
+    whole = _plain(beside(found, record))
+    assert asked
+    assert whole
+    for scenario, planners, _, seed, changes in {*asked, whole}:
+        offered = choices(manager, scenario)
+        values = chosen(",".join(planners), offered, "")
+        assert [value.partition(":")[0] for value in values] == [word.partition(":")[0] for word in planners]
+        for word in planners:
+            planner, _, objective = word.partition(":")
+            asked_scenario(scenario, dict(changes), seed=seed, planner=planner, objective=objective or None)
+
+
+def _plain(runs: Beside | None) -> Any:
+    return runs and (*runs[:4], tuple(runs.changes.items()))
+
+
+def test_a_row_asks_for_its_own_methods_length_and_parameters(manager: RunManager) -> None:
+    record = Store(manager.settings.data).record("lian2024", SHIPPED)
+
+    def runs(quantity: str, case: str) -> Beside | None:
+        rows = [row for row in record["rows"] if (row["quantity"], row["case"]) == (quantity, case)]
+        return beside(study("lian2024"), record, rows[0])
+
+    both = ("stochastic:time", "astar-turns:time")
+    poisson = {"orders.source": "poisson", "orders.rate_per_h": 1000}
+    gain = "more orders per energy, stochastic over astar-turns"
+    assert runs("more orders in 10 h", "stochastic over astar-turns") == Beside("lian2024", both, "10h", 11000)
+    assert runs("energy in 2 h", "stochastic") == Beside("lian2024", both, "2h", 11000)
+    assert runs(gain, "15 AGVs") == Beside("lian2024", both, "1h", 11000, {"fleet.count": 15})
+    assert runs(gain, "orders: a backlog → Poisson, 1000 per h") == Beside("lian2024", both, "1h", 11000, poisson)
+    assert runs(gain, "gear: 30 → 20") is None
+    assert runs("skewness", "busiest lane, 20 visits") is None
+    assert beside(study("soochow2022"), {}) is None
 
 
 @pytest.mark.parametrize(
@@ -274,6 +317,7 @@ def test_a_studys_methods_are_offered_for_its_scenario(manager: RunManager, stud
         (["quickest:time", "prioritized:time"], "soon", "a duration was expected"),
         (["quickest:time", "prioritized:time"], "0s", "time"),
         (["quickest:time", "nobody:time"], "1min", "nobody"),
+        (["quickest:time", "aco:time"], "1min", "cont.*did you mean 'count'"),
     ],
 )
 def test_a_form_that_asks_for_the_impossible_starts_nothing(
@@ -281,5 +325,5 @@ def test_a_form_that_asks_for_the_impossible_starts_nothing(
 ) -> None:
     before = len(manager.list())
     with pytest.raises((BadInput, ValueError), match=words):
-        start(manager, "soochow2022", wanted, 1, length)
+        start(manager, "soochow2022", wanted, 1, length, "fleet.cont = 3" if "cont" in words else "")
     assert len(manager.list()) == before

@@ -157,11 +157,11 @@ def test_ribbon_is_in_seconds_and_names_its_places() -> None:
     data = {"place": [4, 9], "t0": [10, 20], "t1": [12, 26], "vehicle": [0, 1]}
     figure = figures.reservations_figure(data, 0, 100, tick_s=0.5, now_s=8.0, names={4: "R7", 9: "(3, 2)"})
     bars = figure.data[0]
-    assert list(bars.base) == [5 * MS, 10 * MS]
+    assert list(bars.base) == pytest.approx([5 * MS, 10 * MS], abs=0.5)
     assert list(bars.x) == [1 * MS, 3 * MS]
     assert list(bars.marker.color) == [SERIES[0], SERIES[1]]
     assert list(figure.layout.yaxis.ticktext) == ["R7", "(3, 2)"]
-    assert figure.layout.shapes[0].x0 == 8 * MS
+    assert figure.layout.shapes[0].x0 == pytest.approx(8 * MS, abs=0.5)
 
 
 def test_colours_of_the_canvas_and_of_the_charts_are_the_same() -> None:

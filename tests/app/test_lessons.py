@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.lessons import LESSONS, ants, base, break_it, heuristics, learned_time, lesson, motor, search, tree
+from app.lessons import LESSONS, ants, anytime, base, break_it, heuristics, learned_time, lesson, motor, search, tree
+from engine.build import terrain_costs
 from engine.energy import parameter_sets
 from engine.energy.drive import forward
 from engine.energy.lian2024 import lian2024
@@ -22,7 +24,7 @@ from engine.planners.routing import lengths_of, turns_of
 from engine.planners.stochastic import Stochastic
 from engine.types import Component
 from engine.world.motion_graph import Primitive
-from tests import naive_dispatch
+from tests import naive_dispatch, naive_terrain
 from tests import naive_mapf2 as naive
 from tests.naive_mapf import joint_optimum
 
@@ -480,6 +482,17 @@ def test_every_example_is_shown_and_differs(name: str) -> None:
         ("motor", "mass", "5", "mass: a number from 50 to 1000 kg was expected, got '5'"),
         ("motor", "gear", "1e3", "gear: a number from 5 to 60"),
         ("motor", "speed", "-1", "speed: a number from 0.2 to 3 m/s"),
+        ("anytime", "ground", "bumsp56x42s2", "did you mean 'bumps'"),
+        ("anytime", "ground", "bumps56x90s2", "sides of 20 to 60 cells were expected, got 90; nearest: 60"),
+        ("anytime", "goal", "99.1", "outside the floor of 56 × 42 cells; nearest: 55.1"),
+        ("anytime", "objective", "enrgy", "did you mean 'energy'"),
+        ("anytime", "epsilon", "0.5", "first ε: a number from 1 to 10 was expected, got '0.5'"),
+        ("anytime", "lower", "nan", "ε is lowered by: a number from 0.05 to 5"),
+        ("anytime", "share", "101", "a whole number from 0 to 100"),
+        ("anytime", "changes", "q4_1.1", "a text such as r4_25.18"),
+        ("anytime", "changes", "r9_1.1", "a brush of 0 to 8 cells was expected, got 9"),
+        ("anytime", "changes", "r2_70.1", "changes: 70.1 is outside"),
+        ("anytime", "changes", "~".join(["d1"] * 13), "at most 12 were expected, got 13"),
     ],
 )
 def test_a_bad_address_is_a_sentence_and_the_first_example(name: str, key: str, value: str, sentence: str) -> None:
@@ -634,3 +647,137 @@ def test_the_thesis_breaks_and_the_corrected_planner_does_not(case: str) -> None
 def test_an_unknown_case_is_answered_with_the_nearest() -> None:
     with pytest.raises(BadInput, match="did you mean 'parked'"):
         break_it.answer({"case": "parkd"})
+
+
+# -- anytime and repair -----------------------------------------------------------------------------------------------
+
+
+def judged(phase: anytime.Phase, asked: anytime.Asked) -> float:
+    """The least cost of a phase by Dijkstra's search, over costs computed from its ground and nothing else."""
+    world = anytime.world_of(asked.ground, asked.start, asked.goal)
+    ground = replace(world.terrain, height_m=phase.height, obstacle=phase.obstacle)
+    cost = terrain_costs(replace(world, terrain=ground), anytime.robot(), asked.objective).cost
+    goal = asked.goal[1] * world.width + asked.goal[0]
+    return float(naive_terrain.optimum(world.cluster.end, cost, world.width, goal)[phase.start])
+
+
+@st.composite
+def grounds(draw: st.DrawFn) -> dict[str, str]:
+    """A small ground of any class, and some changes of every kind."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    width, height = 24, 20
+    cells = [f"{x}.{y}" for x, y in zip(rng.integers(0, width, 40), rng.integers(0, height, 40), strict=True)]
+    kinds = st.sampled_from(["r4_{}", "l5e1500_{}-{}", "o1e2000_{}", "o2_{}-{}", "x3_{}", "d3"])
+    take = iter(cells)
+    drawn = draw(st.lists(kinds, max_size=3))
+    changes = "~".join(kind.format(*(next(take) for _ in range(kind.count("{")))) for kind in drawn)
+    return {
+        "ground": f"{draw(st.sampled_from(sorted(anytime.RELIEF)))}{width}x{height}s{rng.integers(1, 99)}",
+        "start": "3.4", "goal": "20.15", "changes": changes, "lower": "0.5",
+        "objective": draw(st.sampled_from(["energy", "distance"])), "raised": draw(st.sampled_from(["", "1"])),
+        "anew": draw(st.sampled_from(["", "", "1"])), "share": draw(st.sampled_from(["", "5", "100"])),
+    }  # fmt: skip
+
+
+@settings(max_examples=25)
+@given(grounds())
+def test_every_pass_keeps_its_bound_and_repair_ends_where_planning_anew_does(query: dict[str, str]) -> None:
+    told = anytime.answer(query)
+    asked, changes = anytime.read(query)
+    cells = told["width"] * told["height"]
+    for i, phase in enumerate(told["phases"]):
+        kept = anytime.phase(asked, changes[:i], changes[i].after if i < len(changes) else 1000)
+        least = judged(kept, asked)
+        assert phase["least"] == (least if np.isfinite(least) else -1)
+        for way in phase["passes"]:
+            assert way["found"] is (phase["least"] >= 0)
+            assert not way["broken"]
+            if way["found"]:
+                assert least <= way["cost"] <= way["epsilon"] * least
+                assert way["epsilon"] > 1 or way["cost"] == least
+                assert way["ratio"] == pytest.approx(way["cost"] / least if least else 1, abs=1e-5)
+        frames = np.frombuffer(base64.b64decode(phase["frames"]), np.uint8).reshape(-1, cells)
+        counts = columns(phase["columns"])
+        assert len(frames) == len(counts["pass"]) == phase["passes"][-1]["frame"] + 1
+        assert counts["pass"][0] == -1
+        assert counts["expanded"][0] == 0
+        for number, way in enumerate(phase["passes"]):
+            assert counts["pass"][way["frame"]] == number
+            assert counts["expanded"][way["frame"]] == way["expanded"]
+            fresh = frames[way["frame"]] & anytime.FRESH
+            # a state is expanded twice in a pass at most, and a cell has 16
+            assert fresh.sum() <= way["expanded"] <= 2 * 16 * fresh.sum()
+
+
+def test_frames_show_the_search_as_it_is_without_them() -> None:
+    """Stopping for every frame changes nothing: passes, ways and expansions are those of one call per pass."""
+    query = anytime.PRESETS[0].query
+    asked, _ = anytime.read(query)
+    world = anytime.world_of(asked.ground, asked.start, asked.goal)
+    costs = terrain_costs(world, anytime.robot(), "energy")
+    search = anytime.search_of(asked, asked.options, costs, anytime.start_state(asked))
+    passes = anytime.answer(query)["phases"][0]["passes"]
+    for way in passes:
+        before = search.expanded
+        route = search.work(2**62)
+        assert (route.bound, route.cost, search.expanded - before) == (way["epsilon"], way["cost"], way["expanded"])
+    assert search.optimal
+    assert [way["epsilon"] for way in passes] == [2.5, 2.25, 2.0, 1.75, 1.5, 1.25, 1.0]
+    # a first way soon; nearly all the work is the proof
+    assert passes[0]["expanded"] < 0.02 * sum(way["expanded"] for way in passes)
+    assert passes[-2]["cost"] == passes[-1]["cost"]
+
+
+def test_what_the_examples_say_of_repair_is_so() -> None:
+    told = {preset.word: anytime.answer(preset.query) for preset in anytime.PRESETS}
+    for preset in anytime.PRESETS[1:]:
+        # each opens where a pass has just published its way
+        left = int(preset.query["step"])
+        for phase in told[preset.word]["phases"]:
+            ends = [way["frame"] for way in phase["passes"]]
+            if left <= ends[-1]:
+                break
+            left -= ends[-1] + 1
+        assert left in ends, preset.word
+
+    near = told["Near the robot"]["phases"][1]
+    assert 4 * near["repair"][1] < near["fresh"][1]
+    assert near["verdict"].endswith("The rule (anew above 50 %) repairs, rightly.")
+    far, ruled = told["Near the goal"]["phases"][1], told["The rule"]["phases"][1]
+    assert far["share"] < 0.2
+    assert far["repair"][1] > 2 * far["fresh"][1]
+    assert far["verdict"].endswith("here the wrong choice.")
+    assert not far["anew"]
+    assert ruled["anew"]
+    assert ruled["passes"][0]["epsilon"] == 2.5
+    assert ruled["passes"][-1]["cost"] == far["passes"][-1]["cost"]
+    second = told["While ε is 2"]["phases"][2]
+    assert second["fresh"][0] < second["repair"][0]
+    assert second["fresh"][1] > 2.5 * second["repair"][1]
+    drives = told["The robot drives"]["phases"]
+    assert [drives[i]["repair"][1] for i in (1, 3)] == [0, 0]
+    assert 0 < drives[2]["repair"][1] < drives[2]["fresh"][1] / 5
+
+
+def test_the_paper_s_traits_do_what_is_said_of_them() -> None:
+    anew, sign = (anytime.answer(p.query) for p in anytime.PRESETS if p.word.startswith("Printed"))
+    for phase in anew["phases"][1:]:
+        assert phase["anew"]
+        assert phase["passes"][-1]["expanded"] == phase["fresh"][1] > phase["repair"][1]
+    wasted = sum(phase["fresh"][1] - phase["repair"][1] for phase in anew["phases"][1:])
+    assert f"{wasted:,} expansions more than repair" in anew["traits"][0]
+    last = sign["phases"][0]["passes"][-1]
+    assert last["broken"]
+    assert last["ratio"] > 1.3
+    assert f"it costs {last['ratio']:.3f} times the least" in sign["traits"][0]
+    right = anytime.answer({**anytime.PRESETS[-1].query, "printed": ""})
+    assert right["phases"][0]["passes"][-1]["cost"] == sign["phases"][0]["least"]
+    assert "no height term" in anytime.answer({**anytime.PRESETS[-1].query, "objective": "distance"})["traits"][0]
+
+
+def test_a_shut_goal_is_told_and_opened_again() -> None:
+    query = {**anytime.PRESETS[0].query, "changes": "o4_51.37~x5_51.37"}
+    before, shut, opened = anytime.answer(query)["phases"]
+    assert not shut["passes"][-1]["found"]
+    assert shut["least"] == -1
+    assert opened["passes"][-1]["cost"] == before["passes"][-1]["cost"] == opened["least"]

@@ -97,3 +97,18 @@ def test_the_kernel_cache_is_set_once_and_only_old_ones_are_forgotten(
     assert not (tmp_path / "kernels" / "old0").exists()
     module.kernels_compiled()
     assert module.use_kernel_cache() is False
+
+
+def test_a_method_that_was_not_used_yet_is_warmed_up_on_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What one planner and dispatcher compiled says nothing of others; commands are compiled once for all."""
+    from app.runner import kernel_mark, warm_up
+    from engine.scenario import load
+
+    plain, other = load("wang2019"), load("wang2019", {"dispatch.policy": "insertion"})
+    assert len({kernel_mark(one) for one in (plain, other, load("soochow2022"), load("lian2024"))}) == 4
+    marks: list[str] = []
+    monkeypatch.setattr(module, "kernels_compiled", lambda mark=module.WARM: marks.append(mark))
+    warm_up(other, few=True)
+    assert marks == [kernel_mark(other)]
+    warm_up(plain)
+    assert marks[1:] == [kernel_mark(plain), module.WARM]

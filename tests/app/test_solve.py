@@ -159,6 +159,8 @@ def test_traces_are_written(wattlane: Any, files: tuple[Path, Path], tmp_path: P
         (["--planner", "cbs", "--heading", "up"], ["heading", "up"]),
         (["--planner", "cbs", "--trace", "tree.csv"], [".json or .npz", "tree.csv"]),
         (["--planner", "cbs", "--time-limit", "soon"], ["soon", "8h"]),
+        (["--planner", "cbs", "--out", "no-such-folder/plan.json"], ["--out", "no-such-folder doesn't exist"]),
+        (["--planner", "ecbs", "--energy", "mu=-1"], ["--energy mu", "a number above 0", "'-1'"]),
     ],
 )
 def test_bad_input_is_one_sentence(

@@ -20,11 +20,11 @@ CHARTS = 10
 """Of xu2025: five of lines, five floors."""
 
 
-def open_papers(page: Page, url: str, query: str = "") -> None:
+def open_papers(page: Page, url: str, query: str = "", charts: int = CHARTS) -> None:
     """Opens the page and returns once its figures are drawn."""
     page.goto(f"{url}/papers{query}")
     expect(page.locator(".wl-papers-table")).to_be_visible()
-    drawn(page)
+    drawn(page, charts)
 
 
 def ending(words: str) -> re.Pattern[str]:
@@ -32,9 +32,9 @@ def ending(words: str) -> re.Pattern[str]:
     return re.compile(re.escape(words) + "$")
 
 
-def drawn(page: Page) -> None:
+def drawn(page: Page, charts: int = CHARTS) -> None:
     """Every chart is there: one that is taken away while it is drawn complains."""
-    expect(page.locator(".wl-papers-chart .xaxislayer-above")).to_have_count(CHARTS, timeout=60_000)
+    expect(page.locator(".wl-papers-chart .xaxislayer-above")).to_have_count(charts, timeout=60_000)
 
 
 def test_what_ships_is_shown_with_its_table_and_figures(dashboard: Any, page: Page) -> None:
@@ -117,3 +117,15 @@ def test_what_is_not_there_is_a_sentence(dashboard: Any, page: Page) -> None:
     expect(page.locator(".wl-empty")).to_contain_text("unknown study 'xu2024'; did you mean 'xu2025'?")
     page.goto(f"{dashboard.url}/papers?study=xu2025&result=..%2F..%2Fetc")
     expect(page.locator(".wl-empty")).to_contain_text("is no result of a study")
+
+
+def test_a_row_leads_to_its_runs(dashboard: Any, page: Page) -> None:
+    """The form of Compare is filled with what the row was computed from; nothing is started yet."""
+    open_papers(page, dashboard.url, "?study=lian2024", charts=12)
+    rows = page.locator(".wl-papers-table tbody", has_text="Experiment 5").locator("tr", has_text="15 AGVs, stochastic")
+    rows.get_by_role("link", name="Compare").click()
+    expect(page.locator("#compare-length")).to_have_value("1h")
+    expect(page.locator("#compare-seed")).to_have_value("11000")
+    expect(page.locator("#compare-changes")).to_have_value("fleet.count = 15")
+    chosen = page.locator(".wl-compare-start").get_by_text(re.compile("^(stochastic|astar-turns)$"))
+    expect(chosen.filter(visible=True)).to_have_count(2)

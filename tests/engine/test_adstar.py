@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from engine.energy.parameter_sets import zhang2021
 from engine.energy.skid_steer import SkidSteer, constants
@@ -76,20 +74,7 @@ class Case:
 
     def optimum(self) -> np.ndarray:
         """(S,) least cost to the goal cell, inf where there is none."""
-        cost = self.costs.cost
-        s, k = np.nonzero(cost < BLOCKED)
-        dx, dy, to = np.moveaxis(self.cluster.end[s % 16, k], -1, 0)
-        there = (s // 16 + dy * self.side + dx) * 16 + to
-        # one goal behind all headings of the goal's cell; of two trajectories between two states the cheaper
-        n = len(cost)
-        order = np.lexsort((cost[s, k], there, s))
-        s, k, there = s[order], k[order], there[order]
-        first = np.concatenate([[True], (s[1:] != s[:-1]) | (there[1:] != there[:-1])])
-        a = np.concatenate([there[first], np.full(16, n)])
-        b = np.concatenate([s[first], self.goal * 16 + np.arange(16)])
-        weight = np.concatenate([cost[s, k][first].astype(float), np.full(16, 1e-9)])
-        a[-16:], b[-16:] = n, self.goal * 16 + np.arange(16)
-        return np.round(dijkstra(csr_array((weight, (a, b)), shape=(n + 1, n + 1)), indices=n)[:n])
+        return naive_terrain.optimum(self.cluster.end, self.costs.cost, self.side, self.goal)
 
     def change(self, cells: int) -> np.ndarray:
         """Something is learned about a few cells: heights, obstacles; returns the states whose costs changed."""

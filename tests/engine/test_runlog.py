@@ -117,6 +117,18 @@ def test_handed_out_columns_do_not_change(tmp_path: Path) -> None:
         assert len(reader.table("events")["tick"]) == 355
 
 
+def test_empty_lists_may_follow_full_ones(tmp_path: Path) -> None:
+    """The first batch of a list column is adopted as it was read, and can't be written to."""
+    with RunLogWriter(tmp_path / "r", MANIFEST) as writer:
+        reader = LogReader(tmp_path / "r")
+        for row, cells in enumerate(([3, 4], [], [], [5])):
+            writer.write("searches", {**rows("searches", row, 1), "open_places": [cells], "incons_places": [cells]})
+            writer.flush()
+            reader.refresh()
+            values, offsets = reader.table("searches")["incons_places"]
+            assert values[offsets[row] : offsets[row + 1]].tolist() == cells
+
+
 def test_a_torn_tail_is_ignored_until_it_is_complete(tmp_path: Path) -> None:
     writer = RunLogWriter(tmp_path / "r", MANIFEST)
     writer.write("states", rows("states", 0, 30))

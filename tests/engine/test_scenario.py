@@ -722,6 +722,22 @@ def test_an_order_that_no_battery_serves_is_an_error_with_its_way() -> None:
     assert check(huge, build_world(huge))[-1].level == "ok"
 
 
+def test_an_order_that_only_the_farther_charger_cannot_serve_is_a_warning() -> None:
+    """41 cells to the order and 10 back, or 1 and 10; from the farther charger that is more than there is."""
+    found = load("soochow2022-battery")
+    world = build_world(found)
+    far, near = longest_order(found, world), longest_order(found, world, from_nearest=True)
+    assert far is not None
+    assert near is not None
+    assert far[1:] == near[1:]
+    assert (far[0].start, near[0].start) == tuple(world.chargers[::-1])
+    assert len(far[0].edges) > len(near[0].edges) > 0
+    told = check(found, world)[-1]
+    assert (told.level, told.check) == ("warning", "battery")
+    assert "a vehicle that charged at C2 at (51, 0) can't take it; from the nearest charger, C1 at (0, 0)" in told.text
+    assert "never" not in told.text
+
+
 def test_the_warning_stands_between_ninety_percent_and_all() -> None:
     small = parse(SMALL)
     world = build_world(small)
