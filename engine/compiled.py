@@ -19,7 +19,14 @@ def lean(function: F) -> F:
     return cast(F, njit(**options)(function))
 
 
-def folded(function: F) -> F:
-    """The same, and put into its callers whole: for what is small, called often, and would be handed many arrays."""
-    options: Any = {"cache": True, "nogil": True, "_nrt": False, "forceinline": True}
+def lean_inline(function: F) -> F:
+    """The same, and always a part of whoever calls it: for what is called once,
+    or for a few lines in an innermost loop that would be handed many arrays."""
+    options: Any = {"cache": True, "nogil": True, "forceinline": True, "_nrt": False}
+    return cast(F, njit(**options)(function))
+
+
+def lean_part(function: F) -> F:
+    """The same for a part of one caller, apart only to be read: compiled with it, once, and not a second time alone."""
+    options: Any = {"cache": True, "nogil": True, "inline": "always", "_nrt": False}
     return cast(F, njit(**options)(function))

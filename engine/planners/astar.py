@@ -87,9 +87,14 @@ class AStar:
         if status != single.SOLVED:
             return Way(STATUS[status], np.zeros(0, np.int32), -1, int(out[1]), kept)
         buffer = np.zeros(int(out[0]) * unit // cell + 1, np.int32)
-        if buckets:
-            single.trail(floor.lattice, best, goal, buffer)
-        else:
-            buffer = buffer[: single.way_back(floor.back, best, start, goal, buffer)]
         begin = None if heading is None else start * floor.per_place + 2 * heading
-        return Way(PlanStatus.SOLVED, floor.along(buffer, begin), int(out[0]) * unit, int(out[1]), kept)
+        if buckets:
+            states = np.empty(len(buffer), np.int32)
+            single.trail(floor.lattice, best, goal, buffer, floor.net.shift, states)
+            if begin is not None:
+                states[0] = begin
+            if not floor.turns_freely:
+                states = floor.along(buffer, begin)
+        else:
+            states = floor.along(buffer[: single.way_back(floor.back, best, start, goal, buffer)], begin)
+        return Way(PlanStatus.SOLVED, states, int(out[0]) * unit, int(out[1]), kept)

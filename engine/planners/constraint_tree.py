@@ -253,8 +253,7 @@ def _refused(problem: Problem) -> str:
         return "conflict-based search serves floors without diagonal motions"
     at = graph.state_place[problem.starts]
     for word, places in (("start", at), ("goal", problem.goals)):
-        order = np.sort(places)
-        if (order[1:] == order[:-1]).any():
+        if len(set(places.tolist())) < len(places):
             return f"two vehicles {word} at one place"
     if problem.blocked[at].any():
         return f"vehicle {int(np.nonzero(problem.blocked[at])[0][0])} starts at a blocked place"
@@ -276,9 +275,14 @@ def _shuffles(n: int, tries: int) -> I32:
 
 def orders_of(h0: I64, tries: int, repairs: int) -> I32:
     """Orders for the incumbent: longest way first, shortest first, then seeded shuffles; none without tries."""
-    first, more = np.argsort(h0, kind="stable").astype(np.int32), repairs * len(h0) if tries else 0
-    shuffles = _shuffles(len(h0), max(tries - 2, 0) + more)
-    return np.concatenate([np.stack([first[::-1], first])[:tries], shuffles])
+    n, first = len(h0), np.argsort(h0, kind="stable")
+    more = max(tries - 2, 0) + (repairs * n if tries else 0)
+    out = np.empty((min(tries, 2) + more, n), np.int32)
+    for k, order in enumerate((first[::-1], first)[:tries]):
+        out[k] = order
+    if more:
+        out[min(tries, 2) :] = _shuffles(n, more)
+    return out
 
 
 def solve_tree(

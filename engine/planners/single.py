@@ -77,6 +77,11 @@ class Floor:
         return bool((self.back == self.grounds.step).all())
 
     @cached_property
+    def turns_freely(self) -> bool:
+        """Whether from any state a vehicle may roll on to any neighbour of its place, so that places say the states."""
+        return single.turns_freely(self.graph, single.grounds_of(self.graph))
+
+    @cached_property
     def lattice(self) -> single.Lattice:
         """The same places as cells in rows. Raises ValueError unless they are a 4-connected grid's."""
         return single.lattice_of(self.grounds)

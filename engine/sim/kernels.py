@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.compiled import folded, lean
+from engine.compiled import lean, lean_inline
 from engine.sim.state import (
     ARRIVED,
     CHARGED,
@@ -177,7 +177,7 @@ def first(c: Claims, slot: int) -> int:
     return c.owner[c.prev[slot]]
 
 
-@folded
+@lean_inline
 def due(
     f: Fleet,
     p: Steps,
@@ -307,7 +307,7 @@ def cross(f: Fleet, p: Steps, g: GraphArrays, v: int, w: int) -> bool:
     return (x == here and y == there) or (x == there and y == here)
 
 
-@folded
+@lean_inline
 def start_steps(
     f: Fleet,
     p: Steps,
@@ -406,7 +406,7 @@ def show_states(f: Fleet, sink: Sink, t: int) -> None:
             sink.filled[2] += 1
 
 
-@folded
+@lean_inline
 def draw_energy(
     f: Fleet, g: GraphArrays, sink: Sink, mj: I64, standby_mj: I64, levels: Levels, clock: I64, t: int
 ) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.compiled import folded, lean
+from engine.compiled import lean, lean_inline
 from engine.traffic.claims import Claims, free_from, gap_end
 from engine.types import FOREVER
 from engine.world.motion_graph import MotionGraph
@@ -87,7 +87,7 @@ def crosses(c: Claims, a: int, b: int, tick: int) -> bool:
     return False
 
 
-@folded
+@lean_inline
 def departure(
     c: Claims, g: Ground, hold: bool, margin: int, e: int, u: int, v: int, gap: int, t: int, until: int
 ) -> int:

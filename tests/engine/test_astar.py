@@ -117,6 +117,23 @@ def test_a_trace_tells_the_search_and_does_not_change_it(
         assert t["g"][i] == t["g"][at[int(t["parent"][i])]] + 1000
 
 
+@given(st.integers(0, 2**32 - 1), st.sampled_from([None, 0, 1, 2, 3]))
+def test_states_read_off_the_steps_follow_the_edges(seed: int, heading: int | None) -> None:
+    rng = np.random.default_rng(seed)
+    exits = ((rng.random((6, 7, 4)) < 0.8) @ np.array([1, 4, 16, 64], np.uint8)).astype(np.uint8)
+    free = rng.random((6, 7)) < 0.9
+    graph = compile_grid(free, exits, GridMotion())
+    floor = Floor(graph, xu2025_costs(graph), (rng.random(graph.n_places) < 0.1).astype(np.uint8))
+    assert floor.turns_freely
+    assert not single.turns_freely(turning := compile_grid(free, exits, GridMotion(turning="pivot")), floor.grounds)
+    assert turning.n_places == graph.n_places
+    a, b = rng.integers(graph.n_places, size=2).tolist()
+    way = AStar("manhattan", "lifo").search(floor, a, b, heading=heading)
+    if way.status is PlanStatus.SOLVED:
+        begin = None if heading is None else a * floor.per_place + 2 * heading
+        assert way.states.tolist() == floor.along(way.states >> floor.net.shift, begin).tolist()
+
+
 @settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(HEURISTICS)), st.sampled_from(sorted(TIES)))
 def test_on_one_way_floors_parents_lead_to_their_children(seed: int, heuristic: str, tie: str) -> None:

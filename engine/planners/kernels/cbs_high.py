@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean, lean_part
 from engine.planners.kernels.cbs_low import (
     BY,
     FEW,
@@ -151,12 +151,12 @@ class Desk(NamedTuple):
     cut: I64  # (2, 5) constraints of the two children
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _place_at(r: Roads, t: Tree, rec: int, tick: int) -> int:
     return r.place[t.states[t.way[rec, FIRST] + min(tick, t.way[rec, LENGTH])]]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _least_at(r: Roads, h: I64, place: int) -> int:
     least = NEVER
     for s in range(r.place_ptr[place], r.place_ptr[place + 1]):
@@ -164,7 +164,7 @@ def _least_at(r: Roads, h: I64, place: int) -> int:
     return least
 
 
-@njit(cache=True, nogil=True)
+@lean
 def load_constraints(r: Roads, k: Bans, c: Case, t: Tree, node: int, agent: int) -> bool:
     """Load what a node demands of a vehicle into the constraints. False when it contradicts itself."""
     clear_constraints(k)
@@ -206,7 +206,7 @@ def load_constraints(r: Roads, k: Bans, c: Case, t: Tree, node: int, agent: int)
     return ok
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _keep_way(t: Tree, path: I32, agent: int, node: int, out: I64, least: int) -> int:
     """Store the way just found as a record; -1 when there is no room."""
     rec, first, length = t.num[RECS], t.num[ARENA], out[1]
@@ -222,14 +222,14 @@ def _keep_way(t: Tree, path: I32, agent: int, node: int, out: I64, least: int) -
     return rec
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _count(t: Tree, d: Desk) -> None:
     """Enter the expansions of the last search."""
     t.num[LOW] += d.out[2]
     t.num[WORK] += d.out[2]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _replan(
     r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, agent: int, most: int, wide: int
 ) -> int:  # fmt: skip
@@ -267,7 +267,7 @@ def _replan(
     return FOUND
 
 
-@njit(cache=True, nogil=True)
+@lean
 def find_conflicts(place: I32, t: Tree, d: Desk, recs: I32) -> int:
     """Conflicts of a plan into the desk, by tick; returns how many (of those that found room, all that matter)."""
     n = len(recs)
@@ -321,7 +321,7 @@ def find_conflicts(place: I32, t: Tree, d: Desk, recs: I32) -> int:
     return count
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _ways_within(r: Roads, k: Bans, c: Case, t: Tree, m: Layers, rec: int, cap: int, exact: bool) -> bool:
     """All ways of a record's vehicle within a cost, under the constraints it was made with. False: no room."""
     agent = t.way[rec, OWNER]
@@ -333,7 +333,7 @@ def _ways_within(r: Roads, k: Bans, c: Case, t: Tree, m: Layers, rec: int, cap: 
     return fits
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _know_single(r: Roads, k: Bans, c: Case, t: Tree, m: Layers, rec: int) -> None:
     """Find at which ticks all cheapest ways of a record's vehicle are at one place."""
     if t.way[rec, SEEN]:
@@ -346,12 +346,12 @@ def _know_single(r: Roads, k: Bans, c: Case, t: Tree, m: Layers, rec: int) -> No
         t.single[first : first + length + 1] = 0
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _single(t: Tree, rec: int, tick: int) -> int:
     return np.int64(t.single[t.way[rec, FIRST] + min(tick, t.way[rec, LENGTH])])
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _cardinal(r: Roads, w: Work, c: Case, t: Tree, d: Desk, m: Layers, node: int, k: int) -> int:
     """How many of the two vehicles of a conflict can't avoid it at their present cost."""
     tick, count = np.int64(d.tick[k]), np.int64(0)
@@ -368,7 +368,7 @@ def _cardinal(r: Roads, w: Work, c: Case, t: Tree, d: Desk, m: Layers, node: int
 # --- dependency heuristics -------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _joint(r: Roads, t: Tree, d: Desk, x: Layers, y: Layers, gx: int, gy: int) -> int:
     """1 when a pair of ways from the two layers has no conflict, 0 when there is none, -1 when too large to tell."""
     d.joint_clock[0] += 1
@@ -434,7 +434,7 @@ def _joint(r: Roads, t: Tree, d: Desk, x: Layers, y: Layers, gx: int, gy: int) -
     return 0
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _dependency(
     r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, ra: int, rb: int, deepest: int
 ) -> int:
@@ -471,7 +471,7 @@ def _dependency(
     return value
 
 
-@njit(cache=True, nogil=True)
+@lean
 def weighted_cover(weight: I64, mark: I32, value: I64, stack: I32) -> int:
     """Least sum of x ≥ 0 (integers) with x[i] + x[j] ≥ weight[i, j], or a lower bound of it when that takes long."""
     n = len(weight)
@@ -551,7 +551,7 @@ def weighted_cover(weight: I64, mark: I32, value: I64, stack: I32) -> int:
     return total
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _cover_bound(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, how: int) -> int:
     """Lower bound of the extra cost that a node's conflicts force (unit costs); -1 when the work is spent before.
 
@@ -580,7 +580,7 @@ def _cover_bound(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Lay
     return weighted_cover(d.weight, d.mark, d.value, d.stack)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def pair_bound(c: Case, t: Tree, d: Desk, node: int) -> int:
     """Lower bound of the extra cost of a node's plans: a matching of what pairs cost beyond their two cheapest ways."""
     n = len(c.start)
@@ -626,7 +626,7 @@ def pair_bound(c: Case, t: Tree, d: Desk, node: int) -> int:
 # --- branching -------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _priority(c: Case, t: Tree, d: Desk, node: int, agent: int, tick: int) -> float:
     """Dynamic priority, eq. 14: heavy vehicles with a long way left and few conflicts keep their way."""
     n = len(c.start)
@@ -638,7 +638,7 @@ def _priority(c: Case, t: Tree, d: Desk, node: int, agent: int, tick: int) -> fl
     return c.weights[0] * c.mass[agent] + c.weights[1] * left - c.weights[2] * d.met[agent] / most
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _choose(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, node: int, opt: I64) -> int:
     """Index of the conflict to resolve: cardinal before semi-cardinal before others, then the earliest."""
     if opt[CARDINAL] == 0:
@@ -653,7 +653,7 @@ def _choose(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, node: int, 
     return best
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _breaks(r: Roads, c: Case, t: Tree, node: int, agent: int) -> bool:
     """Whether a vehicle's present way breaks the node's own constraint."""
     kind, who = np.int64(t.node[node, KIND]), np.int64(t.node[node, AGENT])
@@ -683,7 +683,7 @@ def _breaks(r: Roads, c: Case, t: Tree, node: int, agent: int) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _push_open(t: Tree, node: int, opt: I64) -> None:
     """Enter a node into the open list."""
     few = min(t.node[node, CLASHES], 1023)
@@ -693,7 +693,7 @@ def _push_open(t: Tree, node: int, opt: I64) -> None:
         t.num[WAITING] = push(t.key[WAIT_LIST], t.item[WAIT_LIST], t.num[WAITING], t.worth[node, COST], node)
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _new_child(r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, opt: I64, cut: I64) -> int:
     """A child with one more constraint, its ways replanned. Returns its number, -1 without a plan, -2 for no room."""
     child = np.int64(t.num[NODES])
@@ -728,7 +728,7 @@ def _new_child(r: Roads, w: Work, c: Case, t: Tree, d: Desk, node: int, opt: I64
     return child
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _take(t: Tree, node: int) -> None:
     """The node's plan is the new incumbent."""
     t.num[BEST], t.num[BEST_COST], t.num[BEST_NODE] = 1, t.worth[node, COST], node
@@ -736,14 +736,14 @@ def _take(t: Tree, node: int) -> None:
         t.best[k] = t.rec[node, k]
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _chosen(t: Tree, node: int) -> None:
     """The node has had its turn."""
     t.node[node, STATUS], t.node[node, TURN] = CHOSEN, t.num[TURNS]
     t.num[TURNS] += 1
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _raised(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, opt: I64) -> int:
     """Know a node's least extra cost. FOUND when it now stands elsewhere in the open list, or is pruned; else NONE.
 
@@ -769,7 +769,7 @@ def _raised(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
     return FOUND
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _branch(t: Tree, d: Desk, node: int, k: int, low: int, opt: I64) -> None:
     """The constraints that resolve a conflict, into d.cut: (2, 5) vehicle, kind, place, place2, tick of each child.
 
@@ -801,7 +801,7 @@ def _branch(t: Tree, d: Desk, node: int, k: int, low: int, opt: I64) -> None:
     second[0], second[1], second[2], second[3], second[4] = two, kind, p2, q2, tick
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _bypassed(t: Tree, node: int, kid: int, own: int) -> bool:
     """Whether a child has the node's cost and fewer conflicts; the node then takes the child's ways."""
     same = t.worth[kid, COST] == t.worth[node, COST] and t.worth[kid, PROVEN] == t.worth[node, PROVEN]
@@ -818,7 +818,7 @@ def _bypassed(t: Tree, node: int, kid: int, own: int) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, node: int, opt: I64) -> int:
     """Resolve one conflict of a node. FULL when there is no room, SPENT when the work is: nothing has happened then."""
     while True:
@@ -866,7 +866,7 @@ def _expand(r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, 
 # --- the loop --------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32, kept: int) -> int:
     """Vehicles one after another in an order, earlier ones being obstacles; a better plan becomes the incumbent.
 
@@ -910,13 +910,14 @@ def _prioritize(r: Roads, w: Work, c: Case, t: Tree, d: Desk, order: I32, kept: 
     t.num[PLACED] = 0
     if ended == FOUND and t.num[PLACED_COST] < t.num[BEST_COST]:
         t.num[BEST], t.num[BEST_COST], t.num[BEST_NODE] = 1, t.num[PLACED_COST], -1
-        t.best[:] = d.stack[: len(order)]
+        for i in range(len(order)):
+            t.best[i] = d.stack[i]
     else:
         t.num[RECS], t.num[ARENA] = t.num[PLACED_RECS], t.num[PLACED_ARENA]
     return FULL if ended == FULL else FOUND
 
 
-@njit(cache=True, nogil=True)
+@lean_part
 def _root(r: Roads, w: Work, c: Case, t: Tree, d: Desk, opt: I64) -> int:
     """Every vehicle for itself."""
     t.num[RECS], t.num[ARENA], t.num[NODES] = 0, 0, 0
@@ -940,7 +941,7 @@ def _root(r: Roads, w: Work, c: Case, t: Tree, d: Desk, opt: I64) -> int:
     return FOUND
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _weed(t: Tree) -> None:
     """Drop from the front of the open list what is done, out of date or no better than the best plan."""
     keys, items = t.key[OPEN_LIST], t.item[OPEN_LIST]
@@ -954,7 +955,7 @@ def _weed(t: Tree) -> None:
         t.num[HEAP] = drop_first(keys, items, t.num[HEAP])
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _next(t: Tree, wide: int) -> int:
     """The node to expand: least f, or with w > 1 the fewest conflicts among those within the bound."""
     if wide > 1_000_000:
@@ -973,7 +974,7 @@ def _next(t: Tree, wide: int) -> int:
     return np.int64(t.item[OPEN_LIST, 0])
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _cramped(t: Tree, w: Work) -> bool:
     """Whether the next expansion may not find room."""
     most = max(t.num[HEAP], t.num[WAITING], t.num[FOCAL])
@@ -981,7 +982,7 @@ def _cramped(t: Tree, w: Work) -> bool:
     return t.num[NODES] + 4 >= len(t.node) or most + 8 >= t.key.shape[1] or t.num[LONGEST] * 2 + 16 >= ticks
 
 
-@njit(cache=True, nogil=True)
+@lean
 def run(
     r: Roads, w: Work, c: Case, t: Tree, d: Desk, x: Layers, y: Layers, opt: I64, nodes: int, expansions: int, work: int
 ) -> int:  # fmt: skip

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean, lean_inline
 from engine.planners.kernels.heap import drop_first, push
 from engine.planners.kernels.tables import FAR
 from engine.types import FOREVER
@@ -130,7 +131,7 @@ def bits_of(size):  # type: ignore[no-untyped-def]
     return bits
 
 
-@njit(cache=True, nogil=True)
+@lean
 def fill_cost_to_goal(r: Roads, cls: int, goal: int, blocked, out: I64, keys: I64, items: I32) -> None:  # type: ignore[no-untyped-def]
     """out[s]: least cost from every state to the goal place on the floor without others; FAR when unreachable."""
     out[:] = FAR
@@ -171,7 +172,7 @@ def fill_cost_to_goal(r: Roads, cls: int, goal: int, blocked, out: I64, keys: I6
                 size = push(keys, items, size, through, u)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def steps_to(r: Roads, k: Bans, place: int) -> int:
     """Row of k.steps with the least ticks to a place, blocks ignored; -1 when there is no room."""
     row = np.int64(k.by_place[place, ROW])
@@ -199,7 +200,7 @@ def steps_to(r: Roads, k: Bans, place: int) -> int:
     return row
 
 
-@njit(cache=True, nogil=True)
+@lean
 def lift(ptr: I32, to: I32, place: I32, still: I32, start: int, places: I32, out: I32) -> None:
     """States of a way given by places: the motion that leads there, or standing."""
     s = start
@@ -218,7 +219,7 @@ def lift(ptr: I32, to: I32, place: I32, still: I32, start: int, places: I32, out
 # --- constraints -----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@lean
 def clear_constraints(k: Bans) -> None:
     """Forget all constraints."""
     stamp = k.con[STAMP]
@@ -226,7 +227,7 @@ def clear_constraints(k: Bans) -> None:
     k.con[STAMP], k.con[BY] = stamp + 1, FOREVER
 
 
-@njit(cache=True, nogil=True)
+@lean
 def forbid(k: Bans, place: int, before: int, tick: int) -> None:
     """Not at this place at this tick, or, coming from the place `before` (the number of places: from anywhere)."""
     n = len(k.by_place)
@@ -245,7 +246,7 @@ def forbid(k: Bans, place: int, before: int, tick: int) -> None:
     k.con[LAST] = max(k.con[LAST], tick)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def forbid_place(k: Bans, place: int, tick: int, goal: int) -> None:
     """Not at this place at this tick."""
     forbid(k, place, np.int64(len(k.by_place)), tick)
@@ -253,7 +254,7 @@ def forbid_place(k: Bans, place: int, tick: int, goal: int) -> None:
         k.con[FREE_FROM] = max(k.con[FREE_FROM], tick + 1)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@lean_inline
 def _forbidden(k: Bans, stamp: int, key: int, bits: int) -> bool:
     at = slot_at(key, bits)
     mask = len(k.key) - 1
@@ -264,7 +265,7 @@ def _forbidden(k: Bans, stamp: int, key: int, bits: int) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True)
+@lean
 def close_place(k: Bans, place: int, tick: int) -> None:
     """Not at this place from this tick on."""
     stamp = k.con[STAMP]
@@ -275,7 +276,7 @@ def close_place(k: Bans, place: int, tick: int) -> None:
     k.con[LAST] = max(k.con[LAST], tick)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def add_landmark(k: Bans, place: int, tick: int, goal: int, least: int, wait: int) -> bool:
     """At this place at this tick; `least` is the cost from there to the goal. False when it contradicts another."""
     stamp = k.con[STAMP]
@@ -293,7 +294,7 @@ def add_landmark(k: Bans, place: int, tick: int, goal: int, least: int, wait: in
     return True
 
 
-@njit(cache=True, nogil=True)
+@lean
 def finish_constraints(k: Bans) -> None:
     """Note for every tick which landmark comes next; call after the last constraint."""
     k.con[LAST] = max(k.con[LAST], k.con[FREE_FROM])
@@ -307,7 +308,7 @@ def finish_constraints(k: Bans) -> None:
         k.by_tick[t, AHEAD_TICK] = at
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _tables(r: Roads, k: Bans, goal: int) -> int:
     """Make the tables of steps that the constraints ask for; the goal's row, or -1 when it isn't needed."""
     if k.con[MARKS] > 0:
@@ -329,13 +330,13 @@ class Rules(NamedTuple):
     row: int  # steps to the goal, or -1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _rules(r: Roads, k: Bans, goal: int) -> Rules:
     c = k.con
     return Rules(c[STAMP], c[LAST], c[MARKS], c[CLOSED], c[BY], bits_of(len(k.key)), _tables(r, k, goal))
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@lean_inline
 def _allowed(k: Bans, rule: Rules, u: int, v: int, t: int) -> bool:
     """Whether the constraints let one go from place u to place v, arriving at tick t."""
     if t <= rule.last:
@@ -363,14 +364,14 @@ def _allowed(k: Bans, rule: Rules, u: int, v: int, t: int) -> bool:
 # --- the others ------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@lean
 def clear_others(o: Others) -> None:
     """Nobody else is on the floor."""
     o.num[THEY] += 1
     o.num[FILLED] = 0
 
 
-@njit(cache=True, nogil=True)
+@lean
 def add_other(place: I32, o: Others, states: I32, first: int, length: int) -> bool:
     """Enter somebody's way (states[first : first + length + 1], then rest). False when the room is too short.
 
@@ -394,7 +395,7 @@ def add_other(place: I32, o: Others, states: I32, first: int, length: int) -> bo
     return fits
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@lean_inline
 def _meets(o: Others, they: int, filled: int, ticks: int, u: int, v: int, t: int) -> int:
     """How many others one meets going from place u at tick t to place v. they, filled, ticks: of o.num."""
     n = len(o.rest)
@@ -409,7 +410,7 @@ def _meets(o: Others, they: int, filled: int, ticks: int, u: int, v: int, t: int
     return met
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _left(o: Others, goal: int) -> int:
     """Tick from which nobody else is at the goal any more; -1 when somebody rests there."""
     if o.rest[goal, 1] == o.num[THEY]:
@@ -424,7 +425,7 @@ def _left(o: Others, goal: int) -> int:
 # --- search ----------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@lean
 def search(
     r: Roads, w: Work, h: I64, cls: int, start: int, goal: int, mode: int, bound: int, limit: int, out: I64
 ) -> int:
@@ -520,7 +521,7 @@ def search(
     return ended
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@lean_inline
 def _slot(w: Work, key: int, stamp: int, bits: int) -> int:
     """Where the best node of a key is kept; a new slot holds node -1."""
     at = slot_at(key, bits)
@@ -535,7 +536,7 @@ def _slot(w: Work, key: int, stamp: int, bits: int) -> int:
 # --- all cheapest ways ------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@lean
 def build_layers(r: Roads, k: Bans, m: Layers, h: I64, cls: int, start: int, goal: int, cap: int, exact: bool) -> bool:
     """Every way within a cost under the loaded constraints. exact: only ways of that very cost. False: no room."""
     wait = r.wait[cls]
@@ -600,7 +601,7 @@ def build_layers(r: Roads, k: Bans, m: Layers, h: I64, cls: int, start: int, goa
     return True
 
 
-@njit(cache=True, nogil=True)
+@lean
 def mark_single(r: Roads, m: Layers, goal: int, out: I8, first: int, length: int) -> None:
     """out[first + t] = 1 where all ways are at one place at tick t ≤ length; resting at the goal counts as there."""
     count = m.size[0]

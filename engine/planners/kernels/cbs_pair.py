@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.planners.kernels.cbs_low import FOUND, NONE, SPENT, Roads, bits_of, slot_at
 from engine.planners.kernels.heap import drop_first, push
 from engine.planners.kernels.tables import FAR
@@ -47,7 +47,7 @@ def new_pair_work(nodes: int, steps: int) -> PairWork:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@lean
 def _steps_of(r: Roads, h: I64, cls: int, goal: int, s: int, to: I32, cost: I64) -> int:
     """Where a vehicle may be after a tick, and at what cost; the number of states stands for rest at its goal."""
     rest = len(r.place)
@@ -67,8 +67,8 @@ def _steps_of(r: Roads, h: I64, cls: int, goal: int, s: int, to: I32, cost: I64)
     return n
 
 
-@njit(cache=True, nogil=True)
-def _reach(q, bits, count, size, key, g, h):  # type: ignore[no-untyped-def]
+@lean
+def _reach(q: PairWork, bits: int, count: int, size: int, key: int, g: int, h: int) -> tuple[int, int]:
     """Enter a pair unless it was reached as cheaply; (nodes, size of the heap)."""
     at, mask = slot_at(key, bits), len(q.slot) - 1
     stamp = q.stamp[0]
@@ -87,7 +87,7 @@ def _reach(q, bits, count, size, key, g, h):  # type: ignore[no-untyped-def]
     return count, size
 
 
-@njit(cache=True, nogil=True)
+@lean
 def pair_cost(
     r: Roads, q: PairWork, h: I64, cls: I32, start: I32, goal: I32, i: int, j: int, limit: int, out: I64
 ) -> int:  # fmt: skip
@@ -101,7 +101,7 @@ def pair_cost(
     hi, hj, gi, gj = h[i], h[j], np.int64(goal[i]), np.int64(goal[j])
     bits = bits_of(len(q.slot))
     q.stamp[0] += 1
-    count, size, done = np.int64(0), np.int64(0), 0
+    count, size, done = 0, 0, 0
     for first in range(2):
         for second in range(2):
             if (first and r.place[start[i]] != gi) or (second and r.place[start[j]] != gj):
@@ -112,7 +112,7 @@ def pair_cost(
     ended = NONE
     while size > 0:
         f, node = q.keys[0] >> SHIFT, np.int64(q.items[0])
-        size = np.int64(drop_first(q.keys, q.items, size))
+        size = drop_first(q.keys, q.items, size)
         a, b, g = q.key[node] // wide, q.key[node] % wide, q.g[node]
         if g + (0 if a == rest else hi[a]) + (0 if b == rest else hj[b]) < f:
             continue  # it was reached more cheaply since

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.planners.kernels.heap import drop_first, push
 from engine.planners.kernels.tables import FAR
 from engine.world.motion_graph import MotionGraph
@@ -146,7 +147,7 @@ def cells_apart(rule, xy, gx, gy):  # type: ignore[no-untyped-def]
     return 0
 
 
-@njit(cache=True, nogil=True)
+@lean
 def astar_unit(
     lattice: Lattice, w: PlaceWork, start: int, goal: int, rule: int, table: I32, lifo: bool, limit: int, trace: Trace,
     out: I64,
@@ -204,7 +205,7 @@ def astar_unit(
             break
         if expanded < len(trace.node):
             trace.node[expanded], trace.g[expanded], trace.f[expanded] = place[at], g, f
-            trace.h[expanded], trace.open[expanded] = f - g, (end - first).sum()
+            trace.h[expanded], trace.open[expanded] = f - g, end.sum() - first.sum()
             trace.parent[expanded] = -1 if g == 0 else place[at - offset(mark & 7, wide)]
             traced += 1
         expanded += 1
@@ -237,14 +238,23 @@ def offset(d, wide):  # type: ignore[no-untyped-def]
     return -wide
 
 
-@njit(cache=True, nogil=True)
-def trail(lattice: Lattice, best: I32, goal: int, places: I32) -> None:
-    """Write the places from start to goal that the last `astar_unit` found."""
+@lean
+def trail(lattice: Lattice, best: I32, goal: int, places: I32, shift: int, states: I32) -> None:
+    """Write the places from start to goal that the last `astar_unit` found, and the states of rolling that way.
+
+    The first state stands and faces the first step. shift: as in Net; the states are true where every state leads on to
+    all the neighbours of its place.
+    """
     cell = lattice.cell[goal]
     at = (cell >> 16) * lattice.wide + (cell & 0xFFFF)
+    d = 0
     for i in range(len(places) - 1, -1, -1):
         places[i] = lattice.place[at]
-        at -= offset(best[at] & 7, lattice.wide)
+        if i > 0:
+            d = best[at] & 7
+            states[i] = places[i] << shift | d << 1 | 1
+            at -= offset(d, lattice.wide)
+    states[0] = places[0] << shift | d << 1
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -253,7 +263,7 @@ def came_from(d, heads):  # type: ignore[no-untyped-def]
     return d + heads // 2 if d < heads // 2 else d - heads // 2
 
 
-@njit(cache=True, nogil=True)
+@lean
 def way_back(back: I32, best: I32, start: int, goal: int, places: I32) -> int:
     """Write the places from start to goal that `astar_any` found; returns their number.
 
@@ -364,8 +374,8 @@ def astar_any(
     return status
 
 
-@njit(cache=True, nogil=True)
-def _sift_up(key_f, key_t, key_g, items, i, f, t, g, item):  # type: ignore[no-untyped-def]
+@lean
+def _sift_up(key_f: I64, key_t: I64, key_g: I64, items: I32, i: int, f: int, t: int, g: int, item: int) -> None:
     while i > 0:
         up = (i - 1) >> 1
         if key_f[up] < f or (key_f[up] == f and key_t[up] <= t):
@@ -375,8 +385,8 @@ def _sift_up(key_f, key_t, key_g, items, i, f, t, g, item):  # type: ignore[no-u
     key_f[i], key_t[i], key_g[i], items[i] = f, t, g, item
 
 
-@njit(cache=True, nogil=True)
-def _sift_down(key_f, key_t, key_g, items, size):  # type: ignore[no-untyped-def]
+@lean
+def _sift_down(key_f: I64, key_t: I64, key_g: I64, items: I32, size: int) -> None:
     f, t, g, item = key_f[size], key_t[size], key_g[size], items[size]
     i = 0
     while True:
@@ -395,7 +405,7 @@ def _sift_down(key_f, key_t, key_g, items, size):  # type: ignore[no-untyped-def
     key_f[i], key_t[i], key_g[i], items[i] = f, t, g, item
 
 
-@njit(cache=True, nogil=True)
+@lean
 def steps_to(step: I32, goal: int, out: I32, queue: I32) -> None:
     """Fewest steps from every place to the goal, -1 for none, by breadth-first search; ways lead both ways."""
     places = len(step) - 1
@@ -441,6 +451,22 @@ def net_of(graph: MotionGraph) -> Net:
         graph.edge_ptr, graph.edge_to, graph.edge_from, graph.edge_kind, graph.stopped, grounds_of(graph).xy[:-1],
         per_place.bit_length() - 1,
     )  # fmt: skip
+
+
+def turns_freely(graph: MotionGraph, grounds: Grounds) -> bool:
+    """Whether every state leads to all neighbours of its place in one motion, and rolls on in that direction."""
+    none, heads = len(grounds.step) - 1, grounds.step.shape[1]
+    steps = (grounds.step[:-1] != none).sum(axis=1)
+    out = np.diff(graph.edge_ptr).reshape(none, -1)
+    if out.shape[1] != 2 * heads or (out != steps[:, None]).any():
+        return False
+    heading = np.arange(graph.n_states) % (2 * heads) // 2
+    to = graph.edge_to
+    if (graph.state_heading != heading).any() or not graph.state_moving[to].all():
+        return False
+    seen = np.zeros((graph.n_states, heads), np.bool_)
+    seen[graph.edge_from, graph.state_heading[to]] = True
+    return bool(seen.sum() == graph.n_edges)
 
 
 class Closed(NamedTuple):
@@ -505,8 +531,8 @@ def closed_form(c, xy, facing, moving, gx, gy):  # type: ignore[no-untyped-def]
     return h
 
 
-@njit(cache=True, nogil=True)
-def _bucket(w, f, used, size):  # type: ignore[no-untyped-def]
+@lean
+def _bucket(w: StateWork, f: int, used: int, size: int) -> tuple[int, int, int]:
     """Chain of an f: (chain, chains in use, size of the heap). A chain outside the heap (its tail is -2) joins it."""
     mask = len(w.slot) - 1
     at = np.int64((np.uint64(f) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
@@ -526,8 +552,8 @@ def _bucket(w, f, used, size):  # type: ignore[no-untyped-def]
     return b, used, size
 
 
-@njit(cache=True, nogil=True)
-def walked(net, came, cost, standby, s):  # type: ignore[no-untyped-def]
+@lean
+def walked(net: Net, came: I32, cost: I64, standby: int, s: int) -> int:
     """mJ from the start to a state, along the motions by which it was reached."""
     total = np.int64(0)
     by = came[s]
@@ -541,7 +567,7 @@ def walked(net, came, cost, standby, s):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True)
+@lean
 def eea(
     net: Net, w: StateWork, blocked: NDArray[np.uint8], cost: I64, standby: int, waits: bool, reverse: int,
     rewalk: bool, starts: I32, goal: int, closed: Closed, table: I64, lifo: bool, limit: int, trace: Trace, out: I64,
@@ -750,7 +776,7 @@ def _longer(a, n):  # type: ignore[no-untyped-def]
     return b
 
 
-@njit(cache=True, nogil=True)
+@lean
 def states_of(net: Net, places: I32, start: int, states: I32) -> int:
     """States of a vehicle that is at these places tick by tick; -1, or the tick at which no motion leads on."""
     s = start
@@ -771,7 +797,7 @@ def states_of(net: Net, places: I32, start: int, states: I32) -> int:
     return -1
 
 
-@njit(cache=True, nogil=True)
+@lean
 def energy_along(net: Net, states: I32, cost: I64, standby: int) -> int:
     """mJ of states tick by tick, waits included; -1 when one doesn't follow from the one before."""
     total = np.int64(0)

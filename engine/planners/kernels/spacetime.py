@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from engine.compiled import lean
 from engine.planners.kernels.heap import drop_first, push
 from engine.planners.kernels.single import Net
 from engine.planners.kernels.tables import FAR
@@ -45,7 +46,7 @@ def new_taken(ticks: int, places: int) -> Taken:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@lean
 def take(k: Taken, vehicle: int, way: I32, n: int) -> None:
     """Fix a way of n places, tick by tick; the last is its resting place."""
     for t in range(n):
@@ -57,7 +58,7 @@ def take(k: Taken, vehicle: int, way: I32, n: int) -> None:
     k.calm[0] = max(k.calm[0], n - 1)
 
 
-@njit(cache=True, nogil=True)
+@lean
 def release(k: Taken, way: I32, n: int) -> None:
     """Forget a way; only good when all of them are forgotten before the next search."""
     for t in range(n):
@@ -104,7 +105,7 @@ def new_layers(ticks: int, places: int) -> Layers:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@lean
 def quickest(
     step: I32, k: Taken, blocked: U8, w: Layers, table: I32, start: int, goal: int, limit: int, way: I32, out: I64
 ) -> int:  # fmt: skip
@@ -176,7 +177,7 @@ def quickest(
     return status
 
 
-@njit(cache=True, nogil=True)
+@lean
 def quickest_pass(
     step: I32, k: Taken, blocked: U8, w: Layers, tables: I32, row: I32, starts: I32, goals: I32, order: I32,
     limit: int, ways: I32, length: I32, out: I64,
@@ -201,7 +202,7 @@ def quickest_pass(
     return SOLVED
 
 
-@njit(cache=True, nogil=True)
+@lean
 def forget(k: Taken, ways: I32, length: I32) -> None:
     """Empty the floor of all ways taken."""
     for a in range(len(length)):
@@ -248,7 +249,7 @@ def _slot(w, key, stamp):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, nogil=True)
+@lean
 def cheapest(
     net: Net, k: Taken, blocked: U8, w: Nodes, table: I64, cost: I64, standby: int, start: int, goal: int, limit: int,
     states: I32, out: I64,
