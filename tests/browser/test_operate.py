@@ -339,7 +339,8 @@ def test_a_killed_worker_is_shown_and_resumed(dashboard: Any, page: Page) -> Non
 
 def test_a_lost_server_is_a_veil_until_it_is_back(new_dashboard: Callable[..., Any], page: Page, watch: Any) -> None:
     watch.allow(
-        "ERR_CONNECTION_REFUSED|WebSocket|Failed to fetch|ERR_EMPTY_RESPONSE|ERR_CONNECTION_RESET|Callback failed"
+        "ERR_CONNECTION_REFUSED|WebSocket|Failed to fetch|ERR_EMPTY_RESPONSE|ERR_CONNECTION_RESET|"
+        "ERR_SOCKET_NOT_CONNECTED|Callback failed"
     )
     own = new_dashboard()
     open_stage(page, own.url)

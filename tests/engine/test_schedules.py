@@ -256,7 +256,7 @@ def test_a_blocked_exit_is_not_chosen() -> None:
 
 
 def test_dispatchers_refuse_parameters_that_they_do_not_have() -> None:
-    with pytest.raises(ScenarioError, match="unknown parameter of Makespan 'node'; did you mean 'nodes'"):
+    with pytest.raises(ScenarioError, match="unknown parameter of makespan 'node'; did you mean 'nodes'"):
         wang(dispatch__parameters={"node": 3})
 
 
