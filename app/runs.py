@@ -41,7 +41,6 @@ REFRESH_S = 0.4
 WAYS_S = 0.3
 """CPU time that searching a run's ways again may take at a time, so that no page waits for long."""
 LIVE_SPEEDS = (0.25, 64.0)
-OPEN_STATES = frozenset({"running"})
 RESUMABLE = frozenset({"interrupted", "failed", "stopped"})
 _RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,159}")
 

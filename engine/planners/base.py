@@ -291,17 +291,6 @@ class Compared(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A field of a planner that a person may set."""
-
-    name: str
-    kind: type
-    default: object
-    choices: tuple[str, ...] = ()
-    help: str = ""
-
-
 KINDS: Mapping[type, tuple[str, Callable[[Any], bool]]] = {
     bool: ("true or false", lambda value: isinstance(value, bool)),
     int: ("a whole number", lambda value: not isinstance(value, bool) and isinstance(value, int)),

@@ -118,7 +118,7 @@ def grown(array: Any, filled: int, part: Any) -> Any:
         return array  # it may be an adopted one, which can't be written to
     need = filled + len(part)
     if need > len(array):
-        if filled == 0 and len(part):
+        if filled == 0:
             return part  # adopted as it is: the usual case for a closed run
         bigger = np.empty(max(need, 2 * len(array), 1024), array.dtype)
         bigger[:filled] = array[:filled]
